@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import BadReading, Identity, InstrumentRefused, LimitExceeded
-from drivers.wire.visa import ProvedSession
+from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded
+from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -89,7 +89,7 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
         )
 
 
-class ControlledChamber(ABC):
+class ControlledChamber(ProvedInstrument):
     """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is the air temperature.
 
     A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
@@ -110,24 +110,10 @@ class ControlledChamber(ABC):
         identity: str,
         write_gap_s: float = 0.0,
     ) -> None:
-        self.name = name
-        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
+        super().__init__(name, session, clock, write_gap_s=write_gap_s)
         self._limits = limits
         self._identity_pattern = identity
-        self._identity = Identity("", "")
         self._target_c: float | None = None
-
-    def open(self) -> Identity:
-        """Connect and verify the identity; the chamber's state is unchanged.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Disconnect; the chamber keeps its set point. Never raises, may be called twice."""
-        self._session.close()
 
     def make_safe(self) -> str:
         """Stop conditioning, as at the end of a run; return "", because nothing is left for a person to do.
@@ -167,10 +153,6 @@ class ControlledChamber(ABC):
         refuse_other_set_point(self.name, shown_c, target_c, self.resolution_c)
 
     # --- implemented by each make -------------------------------------------------------------------
-
-    @abstractmethod
-    def _prove(self) -> None:
-        """Identify the controller and set `_identity`. Raises `InstrumentRefused`."""
 
     @abstractmethod
     def _refuse_unready(self, target_c: float) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, Protocol
@@ -13,16 +13,16 @@ from drivers.interfaces import (
     BenchError,
     Direction,
     HeadPosition,
-    Identity,
     InstrumentRefused,
     LimitExceeded,
     WentAstray,
 )
 from drivers.making_safe import SEE_IT_STANDS, Attempts, why_failed
-from drivers.wire.visa import ProvedSession
+from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
+    from drivers.interfaces import Identity
     from drivers.wire.visa import MessageSession
 
 
@@ -99,18 +99,23 @@ _PATIENCE_S: Final = 10.0
 class Axis(Protocol):
     """The interface of a controller for one axis; all angles are on the head's scale, rad."""
 
+    @abstractmethod
     def prepare(self) -> None:
         """Make the axis ready to move: powered, homed, in its positioning mode."""
 
+    @abstractmethod
     def position_rad(self) -> float:
         """Return the angle read back."""
 
+    @abstractmethod
     def start(self, target_rad: float) -> None:
         """Begin to move to an angle."""
 
+    @abstractmethod
     def moving(self) -> bool:
         """Return whether the axis is moving. Raises `InstrumentRefused` for a fault that keeps it from arriving."""
 
+    @abstractmethod
     def stop(self) -> None:
         """Stop the axis at once. Raises `BenchError` if the stop is not confirmed."""
 
@@ -283,7 +288,7 @@ class Mover:
         )
 
 
-class MotorisedHead(ABC):
+class MotorisedHead(ProvedInstrument, Axis):
     """The base class of heads with a controller: a `DividingHead` whose subclass implements the `Axis`.
 
     A subclass also verifies its controller (`_prove`). `write_gap_s` is the pause that the controller needs after a
@@ -300,20 +305,9 @@ class MotorisedHead(ABC):
         identity: Identity,
         write_gap_s: float = 0.0,
     ) -> None:
-        self.name = name
-        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
-        self._clock = clock
+        super().__init__(name, session, clock, identity, write_gap_s=write_gap_s)
         self._travel = travel
         self._mover = Mover(name, self, travel, clock)
-        self._identity = identity
-
-    def open(self) -> Identity:
-        """Connect and verify the controller; nothing moves.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
 
     def close(self) -> str:
         """Stop the head and disconnect; return what a person must still do. Never raises, may be called twice."""
@@ -333,31 +327,5 @@ class MotorisedHead(ABC):
         """
         return self._mover.move(target_rad, direction)
 
-    # --- implemented by each make -------------------------------------------------------------------
-
-    @abstractmethod
-    def _prove(self) -> None:
-        """Identify the controller, verify its settings and set `_identity`. Raises `InstrumentRefused`."""
-
-    def _release(self, attempts: Attempts) -> None:  # noqa: B027 - most need nothing more
+    def _release(self, attempts: Attempts) -> None:
         """Make the stopped head safe before the connection closes, one attempt per command."""
-
-    @abstractmethod
-    def prepare(self) -> None:
-        """Make the axis ready to move: powered, homed, in its positioning mode."""
-
-    @abstractmethod
-    def position_rad(self) -> float:
-        """Return the angle read back, rad."""
-
-    @abstractmethod
-    def start(self, target_rad: float) -> None:
-        """Begin to move to an angle."""
-
-    @abstractmethod
-    def moving(self) -> bool:
-        """Return whether the axis is moving. Raises `InstrumentRefused` for a fault that keeps it from arriving."""
-
-    @abstractmethod
-    def stop(self) -> None:
-        """Stop the axis at once. Raises `BenchError` if the stop is not confirmed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final, Literal, NotRequired, Protocol, TypedDict, TypeVar, runtime_checkable
 
@@ -269,20 +269,22 @@ _Read = TypeVar("_Read")
 
 def ask_until(
     person: Person,
-    key: str,
-    question: Callable[[str, str], Prompt],
+    question: Prompt,
     read: Callable[[str], _Read],
     attempts: int = ATTEMPTS,
+    again: Prompt | None = None,
 ) -> _Read:
     """Ask a question until `read` accepts the answer; return the value from `read`.
 
-    `question(id, trouble)` makes the prompt; `trouble` says what was wrong with the last answer, at first "".
-    `read` takes the answer's text and raises `ValueError` with a sentence for `trouble`. After `attempts` refused
-    answers, `ValueError` with the last sentence is raised; `NoAnswer` is raised if nobody can answer.
+    The number of the attempt is added to the `id` of the prompt. The text of a repeated question begins with what
+    was wrong with the last answer; `again`, if given, is the question to repeat. `read` takes the answer's text and
+    raises `ValueError` with a sentence that says what is wrong. After `attempts` refused answers, `ValueError` with
+    the last sentence is raised; `NoAnswer` is raised if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):
-        prompt = question(f"{key}#{attempt}", trouble)
+        asked = again if trouble and again is not None else question
+        prompt = replace(asked, id=f"{asked.id}#{attempt}", text=f"{trouble} {asked.text}".lstrip())
         answer = person.ask(prompt)
         if answer.prompt_id != prompt.id:
             trouble = message("That answer belonged to an earlier question.")

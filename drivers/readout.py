@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import deque
 from dataclasses import dataclass
 from functools import partial
@@ -21,15 +21,15 @@ from drivers.interfaces import (
     BadReading,
     Direction,
     HeadPosition,
-    Identity,
     InstrumentRefused,
     LimitExceeded,
 )
 from drivers.person import APPROACH, AnsweredByInstrument, Prompt, PromptKind, ask_until, watching
-from drivers.wire.visa import ProvedSession
+from drivers.wire.visa import ProvedInstrument, ProvedSession
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
+    from drivers.interfaces import Identity
     from drivers.person import Action, Person
     from drivers.wire.visa import MessageSession
 
@@ -168,7 +168,7 @@ class Track:
         return f"The head did not approach from {way}: back off by {back} at least and approach again."
 
 
-class ReadOutHead(ABC):
+class ReadOutHead(ProvedInstrument):
     """The base class of each `DividingHead` that a person turns and a counter reads.
 
     A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports its
@@ -187,27 +187,13 @@ class ReadOutHead(ABC):
         identity: Identity,
         tells_reference: bool,
     ) -> None:
-        self.name = name
+        super().__init__(name, session, clock, identity)
         self._session = ProvedSession(session, clock, self._proved)
-        self._clock = clock
         self._person = person
         self._approach = approach
         self._scale = scale
-        self._identity = identity
         self._tells_reference = tells_reference
         self._trusted = False
-
-    def open(self) -> Identity:
-        """Connect, verify the counter and return its identity.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Close the connection; the counter needs nothing to be safe. Never raises, may be called twice."""
-        self._session.close()
 
     def position_rad(self) -> float:
         """Return the angle of the head by its encoder, rad.
@@ -242,10 +228,6 @@ class ReadOutHead(ABC):
         )
 
     # --- what a subclass provides -------------------------------------------------------------------
-
-    @abstractmethod
-    def _prove(self) -> None:
-        """Identify the counter, verify its settings and set `_identity`. Raises `InstrumentRefused`."""
 
     @abstractmethod
     def _shown_rad(self) -> float:
@@ -283,11 +265,8 @@ class ReadOutHead(ABC):
         if self._trusted:
             return
 
-        def question(prompt_id: str, trouble: str) -> Prompt:
-            task = (
-                "Turn the head across the encoder's reference mark. Was it crossed since the counter went on?"
-            )
-            return Prompt(prompt_id, PromptKind.CONFIRM, f"{trouble} {task}".lstrip(), default="yes")
+        task = "Turn the head across the encoder's reference mark. Was it crossed since the counter went on?"
+        question = Prompt(f"{key}/reference", PromptKind.CONFIRM, task, default="yes")
 
         def read(text: str) -> None:
             if text.lower() in _NO:
@@ -296,7 +275,7 @@ class ReadOutHead(ABC):
                 )
 
         try:
-            ask_until(self._person, f"{key}/reference", question, read)
+            ask_until(self._person, question, read)
         except ValueError as trouble:
             raise InstrumentRefused(
                 self.name,

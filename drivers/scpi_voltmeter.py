@@ -61,9 +61,10 @@ class ProvenSetting:
 class ScpiVoltmeter(ABC):
     """The base class of the SCPI voltmeters: a `Voltmeter` that lacks only the model's own commands.
 
-    `interface` is the one selected at the meter, even behind an adapter; over RS-232 the meter must first be set
-    to remote. `clock` measures how long an RS-232 meter was idle: after some ten minutes it may have dropped back
-    to local. `line_hz` is the mains frequency, which determines how long a reading takes.
+    `channels` are the signals in scan order, or the only signal. `interface` is the one selected at the meter, even
+    behind an adapter; over RS-232 the meter must first be set to remote. `clock` measures how long an RS-232 meter
+    was idle: after some ten minutes it may have dropped back to local. `line_hz` is the mains frequency, which
+    determines how long a reading takes.
     """
 
     # Overridden by each model; the defaults are those of a 34401A.
@@ -99,15 +100,15 @@ class ScpiVoltmeter(ABC):
     def __init__(
         self,
         name: str,
-        channels: tuple[Channel, ...],
+        channels: Channel | tuple[Channel, ...],
         session: MessageSession,
         clock: Clock,
         *,
-        interface: Interface,
-        line_hz: float,
+        interface: Interface = "lan",
+        line_hz: float = 50.0,
     ) -> None:
         self.name = name
-        self.channels = channels
+        self.channels = (channels,) if isinstance(channels, str) else channels
         self._session = session
         self._clock = clock
         self._interface = interface

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +17,7 @@ from drivers.interfaces import (
     SupplyLimits,
 )
 from drivers.making_safe import STAYS_REMOTE, Attempts
-from drivers.wire.visa import ProvedSession
+from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -33,7 +33,7 @@ _ERRORS_ASKED: Final = 32
 """The most errors to read from a queue: more than any queue holds."""
 
 
-class WiredSupply(ABC):
+class WiredSupply(ProvedInstrument):
     """The base class of remote-controlled supplies, a `PowerSupply`.
 
     A subclass verifies the identity and reads, sets and switches the outputs. `limits` are the limits of the model.
@@ -42,22 +42,11 @@ class WiredSupply(ABC):
     asks_person = False
 
     def __init__(self, name: str, session: MessageSession, clock: Clock, *, limits: SupplyLimits) -> None:
-        self.name = name
+        super().__init__(name, session, clock)
         self.outputs = tuple(limits.outputs)
         self._limits = limits
         self._wire = session
-        self._clock = clock
-        self._session = ProvedSession(session, clock, self._prove)
-        self._identity = Identity("", "")
         self._set: dict[str, OutputSettings] = {}
-
-    def open(self) -> Identity:
-        """Connect and verify the identity; the outputs stay as they are.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
 
     def close(self) -> str:
         """Return the front panel to local control and disconnect; the outputs stay as they are. Never raises.
@@ -196,14 +185,10 @@ class WiredSupply(ABC):
     # --- implemented by each make -------------------------------------------------------------------
 
     @abstractmethod
-    def _prove(self) -> None:
-        """Identify the supply and set `_identity`. Raises `InstrumentRefused`."""
-
-    @abstractmethod
     def _states(self) -> dict[str, OutputState]:
         """Return the state of every output; nothing is changed."""
 
-    def _refuse_unready(  # noqa: B027 - most have nothing of the kind
+    def _refuse_unready(
         self, states: Mapping[str, OutputState], settings: Mapping[str, OutputSettings]
     ) -> None:
         """Raise an error if the supply's mode forbids these settings, such as outputs that track each other."""
@@ -224,7 +209,7 @@ class WiredSupply(ABC):
         """Return the errors that the supply reports, and clear them in the supply."""
         return []
 
-    def _go_to_local(self) -> None:  # noqa: B027 - most need no command
+    def _go_to_local(self) -> None:
         """Return the front panel to local control, if the supply has a command for this."""
 
     # --- for makes ----------------------------------------------------------------------------------

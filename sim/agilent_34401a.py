@@ -32,6 +32,7 @@ from sim.scpi_values import (
     next_above,
     next_below,
     notation_pattern,
+    number_of,
     quoted,
     within,
 )
@@ -52,7 +53,7 @@ from sim.voltmeters import (
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from drivers.clock import Clock
 
@@ -279,7 +280,6 @@ class Trigger(MeasuringCycle):
         self._configuration = configuration
         self._converter = converter
         self._on_overload = on_overload
-        self._times_s: list[float] = []
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
@@ -291,11 +291,6 @@ class Trigger(MeasuringCycle):
         self.stores = True
         self.averages = False
         self.averaged: list[float] = []
-
-    def abort(self) -> None:
-        """Become idle; discard stored readings and the measurement in progress."""
-        super().abort()
-        self._times_s = []
 
     def stop_waiting(self) -> None:
         """If the meter waits for a trigger, become idle, because a setting of the measurement has changed."""
@@ -344,19 +339,16 @@ class Trigger(MeasuringCycle):
         step_s = delay_s + self._converter.sample_s(self._configuration)
         middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0
         samples = triggers * self.sample_count
-        self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
+        self._due = [start_s + i * step_s + middle_s for i in range(samples)]
         self._measures_until(start_s + samples * step_s, triggers)
 
-    def _taken(self) -> Iterator[str]:
-        """Yield the texts of the scheduled samples, from the signal at their times."""
-        for time_s in self._times_s:
-            value = self._converter.sample(self._configuration, time_s)
-            if abs(value) >= facts.OVERLOAD_V:
-                self._on_overload()
-            elif self.averages:
-                self.averaged.append(value)
-            yield reading_text(value, self._converter.step(self._configuration))
-        self._times_s = []
+    def _sampled(self, due: float) -> str:
+        value = self._converter.sample(self._configuration, due)
+        if abs(value) >= facts.OVERLOAD_V:
+            self._on_overload()
+        elif self.averages:
+            self.averaged.append(value)
+        return reading_text(value, self._converter.step(self._configuration))
 
     def commands(self) -> list[Command]:
         """Return the commands and queries for triggering, memory and average."""
@@ -440,9 +432,8 @@ class Trigger(MeasuringCycle):
 
     def _count(self, value: Value) -> int:
         """Return a count, rounded, with MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
-        if isinstance(value, str):
-            return 1 if value == MIN else self.most_readings
-        return math.floor(within(math.floor(value + 0.5), 1, self.most_readings))
+        count = math.floor(number_of(value, 1, self.most_readings) + 0.5)
+        return math.floor(within(count, 1, self.most_readings))
 
     def _count_text(self, word: str, value: float) -> str:
         if word:

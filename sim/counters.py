@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from drivers.facts import heidenhain_nd28x as nd
 from drivers.facts import mitutoyo_mux10, text_line
@@ -61,20 +61,12 @@ class Counter(PlainDialect):
 
 
 class HeidenhainNd28x(Counter):
-    """A display unit of the given `model`, set to decimal degrees with four decimals."""
+    """A display unit of the given `model`, set to decimal degrees with four decimals; `options` as in `Counter`."""
 
     line_ends = LineEnds((nd.WRITE_TERMINATION.encode(),), reply=b"\r\n", clears=False)
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        model: str = "ND-281B",
-        zero_deg: float = 0.0,
-        falling: bool = False,
-        referenced: bool = True,
-    ) -> None:
-        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+    def __init__(self, world: World, *, model: str = "ND-281B", **options: Any) -> None:
+        super().__init__(world, **options)
         self.model = model
         self.status_bar = "00010211"
         self.inch = nd.DARK
@@ -114,21 +106,13 @@ class HeidenhainNd28x(Counter):
 
 
 class MitutoyoMux10(Counter):
-    """A counter in the MUX-10 form, with the encoder on `channel`."""
+    """A counter in the MUX-10 form, with the encoder on `channel`; `options` as in `Counter`."""
 
     model = mitutoyo_mux10.MODEL
     line_ends = LineEnds((b"\r",), reply=b"\r")
 
-    def __init__(
-        self,
-        world: World,
-        *,
-        channel: int = 1,
-        zero_deg: float = 0.0,
-        falling: bool = False,
-        referenced: bool = True,
-    ) -> None:
-        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+    def __init__(self, world: World, *, channel: int = 1, **options: Any) -> None:
+        super().__init__(world, **options)
         self._channel = str(channel)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
@@ -173,7 +157,7 @@ class EncoderLine(Counter):
     """A counter that answers `request` with a line like `example`, in which `pattern` finds the number.
 
     `per_turn` units make a turn. Messages end in `ends[0]`, replies in `ends[1]`. With a failed signal it answers
-    with the first of the `errors`, or with "?" if there is none.
+    with the first of the `errors`, or with "?" if there is none. `options` as in `Counter`.
     """
 
     model = text_line.MODEL
@@ -188,11 +172,9 @@ class EncoderLine(Counter):
         per_turn: float,
         ends: tuple[str, str],
         errors: tuple[str, ...] = (),
-        zero_deg: float = 0.0,
-        falling: bool = False,
-        referenced: bool = True,
+        **options: Any,
     ) -> None:
-        super().__init__(world, zero_deg=zero_deg, falling=falling, referenced=referenced)
+        super().__init__(world, **options)
         self.line_ends = LineEnds((ends[0].encode(),), reply=ends[1].encode())
         self._per_deg = per_turn / 360.0
         self._reply = _Reply(request, pattern, example, errors, text_line.ANGLE)

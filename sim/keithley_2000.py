@@ -13,14 +13,13 @@ from typing import TYPE_CHECKING, Final, Literal
 from drivers.facts import keithley_2000 as facts
 from sim.scpi import Command, ScpiInstrument, switch_lines
 from sim.scpi_values import (
-    MAX,
-    MIN,
     Choice,
     Number,
     ScpiError,
     Text,
     Value,
     next_above,
+    number_of,
     numbered,
     quoted,
     within,
@@ -37,7 +36,7 @@ from sim.voltmeters import (
 from sim.wires.session import LineEnds
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Callable
 
     from drivers.clock import Clock
 
@@ -78,7 +77,6 @@ class Buffer(MeasuringCycle):
         self.size = 100
         self.stores = False
         self.stored: list[str] = []
-        self._times_s: list[float] = []
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
@@ -89,11 +87,6 @@ class Buffer(MeasuringCycle):
         self.continuous = False
         self.trigger_count = 1
         self.sample_count = 1
-
-    def abort(self) -> None:
-        """Become idle; keep the buffer."""
-        super().abort()
-        self._times_s = []
 
     def initiate(self) -> None:
         """INITiate. Raises `ScpiError` -213 during a measurement and in continuous mode."""
@@ -113,7 +106,7 @@ class Buffer(MeasuringCycle):
 
     def settle(self) -> None:
         """Store the readings of a measurement that has ended; do not wait for one in progress."""
-        if self._times_s and not self.in_progress:
+        if self._due and not self.in_progress:
             self._collect()
 
     def clear(self) -> None:
@@ -137,18 +130,16 @@ class Buffer(MeasuringCycle):
         step_s = self._converter.sample_s(self.measuring)
         middle_s = self._converter.integration_s(self.measuring) / 2.0
         samples = triggers * self.sample_count
-        self._times_s = [start_s + i * step_s + middle_s for i in range(samples)]
+        self._due = [start_s + i * step_s + middle_s for i in range(samples)]
         self._measures_until(start_s + samples * step_s, triggers)
 
-    def _taken(self) -> Iterator[str]:
-        for time_s in self._times_s:
-            value = self._converter.sample(self.measuring, time_s)
-            text = _text(value, self._converter.step(self.measuring))
-            if self.stores:
-                self.stored.append(text)
-                self.stores = len(self.stored) < self.size
-            yield text
-        self._times_s = []
+    def _sampled(self, due: float) -> str:
+        value = self._converter.sample(self.measuring, due)
+        text = _text(value, self._converter.step(self.measuring))
+        if self.stores:
+            self.stored.append(text)
+            self.stores = len(self.stored) < self.size
+        return text
 
 
 class Keithley2000(ScpiInstrument):
@@ -298,14 +289,12 @@ class Keithley2000(ScpiInstrument):
             raise ScpiError(-224)
 
     def _set_range(self, value: Value) -> None:
-        ends = {MIN: 0.0, MAX: facts.HIGHEST_V}
-        highest_v = within(abs(ends[value] if isinstance(value, str) else value), 0.0, facts.HIGHEST_V)
+        highest_v = within(abs(number_of(value, 0.0, facts.HIGHEST_V)), 0.0, facts.HIGHEST_V)
         self._settings.range_value = next_above(min(highest_v, facts.RANGES_V[-1]), facts.RANGES_V)
         self._settings.autorange = False
 
     def _set_nplc(self, value: Value) -> None:
-        ends = dict(zip((MIN, MAX), _NPLC, strict=True))
-        self.buffer.measuring.set_nplc(ends[value] if isinstance(value, str) else within(value, *_NPLC))
+        self.buffer.measuring.set_nplc(within(number_of(value, *_NPLC), *_NPLC))
 
     def _set_source(self, source: str) -> None:
         self.buffer.source = source
@@ -320,9 +309,7 @@ class Keithley2000(ScpiInstrument):
 
 def _whole(value: Value, ends: tuple[int, int]) -> int:
     """Return a count. Raises `ScpiError` -222 outside `ends`."""
-    if isinstance(value, str):
-        return ends[0] if value == MIN else ends[1]
-    return round(within(value, *ends))
+    return round(within(number_of(value, *ends), *ends))
 
 
 def _text(value: float, step: float) -> str:

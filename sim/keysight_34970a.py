@@ -35,6 +35,7 @@ from sim.scpi_values import (
     integer,
     next_above,
     notation_pattern,
+    number_of,
     quoted,
 )
 from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, LineMeter, MeteredSignal
@@ -186,19 +187,16 @@ class Keysight34970A(LineMeter):
         accepted = sorted(by_integration)
 
         def set_range(channel: ChannelConfiguration, value: Value) -> None:
-            limits = {MIN: DC_VOLTS.ranges[0], MAX: DC_VOLTS.ranges[-1]}
-            wanted = limits[value] if isinstance(value, str) else value
+            wanted = number_of(value, DC_VOLTS.ranges[0], DC_VOLTS.ranges[-1])
             channel.settings.range_value = next_above(wanted, DC_VOLTS.ranges)
             channel.settings.autorange = False
 
         def set_nplc(channel: ChannelConfiguration, value: Value) -> None:
-            limits = {MIN: accepted[0], MAX: accepted[-1]}
-            wanted = limits[value] if isinstance(value, str) else value
+            wanted = number_of(value, accepted[0], accepted[-1])
             channel.settings.resolution = by_integration[next_above(wanted, accepted)]
 
         def set_delay(channel: ChannelConfiguration, value: Value) -> None:
-            limits = {MIN: 0.0, MAX: facts.LONGEST_CHANNEL_DELAY_S}
-            channel.set_delay(limits[value] if isinstance(value, str) else value)
+            channel.set_delay(number_of(value, 0.0, facts.LONGEST_CHANNEL_DELAY_S))
 
         volts, degrees, flag = "[SENSe:]VOLTage[:DC]", "[SENSe:]TEMPerature", Boolean()
         return [

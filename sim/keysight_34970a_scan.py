@@ -23,6 +23,7 @@ from sim.scpi_values import (
     Value,
     integer,
     list_spans,
+    number_of,
     within,
 )
 from sim.voltmeters import (
@@ -35,7 +36,7 @@ from sim.voltmeters import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Mapping
 
     import numpy as np
 
@@ -279,7 +280,6 @@ class Scan(MeasuringCycle):
         self._inputs = inputs
         self._on_overload = on_overload
         self.channel_list: tuple[int, ...] = ()
-        self._due: list[tuple[int, float]] = []
         self._began_s = 0.0
         super().__init__(clock, interrupted)
 
@@ -289,11 +289,6 @@ class Scan(MeasuringCycle):
         self.count: float = 1
         self.timer_s = 0.0
         self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)
-
-    def abort(self) -> None:
-        """ABORt, device clear: become idle and clear the memory."""
-        super().abort()
-        self._due = []
 
     def define(self, channels: tuple[int, ...]) -> None:
         """Set the scan list, sorted in ascending order and without duplicates."""
@@ -351,18 +346,17 @@ class Scan(MeasuringCycle):
                 now_s += converter.sample_s(configuration)
         self._measures_until(now_s, triggers)
 
-    def _taken(self) -> Iterator[str]:
-        for channel, time_s in self._due:
-            configuration, converter = self._channels[channel]
-            transducer = configuration.transducer
-            if transducer is None:
-                value = converter.sample(configuration, time_s)
-            else:
-                value = self._inputs[channel].shown_c(transducer.configured, time_s)
-            if abs(value) >= OVERLOAD_V:
-                self._on_overload()
-            yield self._text(channel, time_s, value, converter.step(configuration))
-        self._due = []
+    def _sampled(self, due: tuple[int, float]) -> str:
+        channel, time_s = due
+        configuration, converter = self._channels[channel]
+        transducer = configuration.transducer
+        if transducer is None:
+            value = converter.sample(configuration, time_s)
+        else:
+            value = self._inputs[channel].shown_c(transducer.configured, time_s)
+        if abs(value) >= OVERLOAD_V:
+            self._on_overload()
+        return self._text(channel, time_s, value, converter.step(configuration))
 
     def _text(self, channel: int, time_s: float, value: float, step: float) -> str:
         text = reading_text(value, step) + (" VDC" if self.extras["UNIT"] else "")
@@ -416,5 +410,4 @@ class Scan(MeasuringCycle):
         self.count = words[value] if isinstance(value, str) else within(round(value), 1, _MOST_SWEEPS)
 
     def _set_timer(self, value: Value) -> None:
-        words = {MIN: 0.0, MAX: _LONGEST_TIMER_S}
-        self.timer_s = words[value] if isinstance(value, str) else within(value, 0.0, _LONGEST_TIMER_S)
+        self.timer_s = within(number_of(value, 0.0, _LONGEST_TIMER_S), 0.0, _LONGEST_TIMER_S)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drivers.facts import keysight_e36300 as facts
 from sim.scpi import Command
-from sim.scpi_values import MAX, MIN, Boolean, Number, OutputList, ScpiError, listed, numbered, within
+from sim.scpi_values import Boolean, Number, OutputList, ScpiError, listed, number_of, numbered, within
 from sim.supply import LEVEL, WORDS, KeysightSupply, shown_number
 
 if TYPE_CHECKING:
@@ -152,8 +152,7 @@ class KeysightE36300(KeysightSupply):
         return str(int(self._outputs.stage(name).trip_after_s is not None))
 
     def _set_delay(self, value: Value, outputs: Value = "") -> None:
-        words = {MIN: 0.0, MAX: _LONGEST_DELAY_S}
-        delay_s = words[value] if isinstance(value, str) else within(value, 0.0, _LONGEST_DELAY_S)
+        delay_s = within(number_of(value, 0.0, _LONGEST_DELAY_S), 0.0, _LONGEST_DELAY_S)
         for name in self._listed(outputs):
             self._delays_s[name] = delay_s
             if self._outputs.stage(name).trip_after_s is not None:

@@ -404,6 +404,11 @@ def next_below(value: float, accepted: Sequence[float]) -> float:
     return fitting[-1]
 
 
+def number_of(value: Value, low: float, high: float) -> float:
+    """Return a number, or the end that MIN (`low`) or MAX (`high`) stands for."""
+    return {MIN: low, MAX: high}[value] if isinstance(value, str) else value
+
+
 def within(value: float, low: float, high: float) -> float:
     """Return `value` if it lies in [low, high], else raise `ScpiError` -222."""
     if not low <= value <= high:

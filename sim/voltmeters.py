@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
 
 from drivers.facts.agilent_34401a import OVERLOAD_V
 from sim.scpi import Command, DeviceClear, Interface, RemoteInstrument, never
@@ -15,7 +15,7 @@ from sim.scpi_values import DEF, MAX, MIN, ScpiError, Value, next_above
 from sim.world.clock import VirtualClock, wait_until
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from types import ModuleType
 
     import numpy as np
@@ -481,6 +481,7 @@ class MeasuringCycle(ABC):
     def abort(self) -> None:
         """Become idle; discard stored readings and the measurement in progress."""
         self.state = TriggerState.IDLE
+        self._due: list[Any] = []
         self._memory: list[str] = []
         self._readings: list[str] = []
         self._finish_s = 0.0
@@ -534,11 +535,11 @@ class MeasuringCycle(ABC):
 
     @abstractmethod
     def _schedule(self, triggers: int) -> None:
-        """Schedule the samples of the next triggers, and call `_measures_until` with their end."""
+        """Schedule the samples of the next triggers in `_due`, and call `_measures_until` with their end."""
 
     @abstractmethod
-    def _taken(self) -> Iterator[str]:
-        """Yield the texts of the scheduled samples, and clear the schedule."""
+    def _sampled(self, due: Any) -> str:
+        """Return the text of one scheduled sample, an element of `_due`."""
 
     def _require_idle(self) -> None:
         """Raise `ScpiError` -213 if a measurement is in progress or waits for a trigger."""
@@ -571,7 +572,8 @@ class MeasuringCycle(ABC):
         return ",".join(self._readings) + self.after_last
 
     def _collect(self) -> None:
-        self._readings += self._taken()
+        self._readings += map(self._sampled, self._due)
+        self._due = []
         if self._keeps:
             self._memory = self._readings[-self.memory_depth :]
         self.state = TriggerState.WAITING if self._triggers_left > 0 else TriggerState.IDLE

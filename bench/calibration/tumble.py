@@ -16,8 +16,8 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.calibration import gls
 from bench.calibration.above_1g import AboveOneG, join
-from bench.calibration.budget.coefficients import meters_of, parts_of
-from bench.calibration.budget.whole import GRAVITY, MeasuredReadings, acting_sources, without_meters
+from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
+from bench.calibration.budget.whole import GRAVITY, acting_sources, without_meters
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.noise import require_told

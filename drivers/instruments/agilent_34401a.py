@@ -9,14 +9,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import agilent_34401a as facts
-from drivers.interfaces import Channel, Identity, VoltmeterLimits, VoltmeterSettings
-from drivers.scpi_voltmeter import Interface, ProvenSetting, ScpiVoltmeter
+from drivers.interfaces import Identity, VoltmeterLimits, VoltmeterSettings
+from drivers.scpi_voltmeter import ProvenSetting, ScpiVoltmeter
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
-
-    from drivers.clock import Clock
-    from drivers.wire.visa import MessageSession
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,31 +29,19 @@ DIALECT_34401A: Final = SingleChannelDialect("ZERO:AUTO", "INP:IMP:AUTO", Voltme
 
 
 class Agilent34401A(ScpiVoltmeter):
-    """A `Voltmeter` with one signal (see `ScpiVoltmeter` for `interface`, `clock` and `line_hz`)."""
+    """A `Voltmeter` with one signal."""
 
     dialects: Mapping[str, SingleChannelDialect] = dict.fromkeys(facts.MODELS, DIALECT_34401A)
-    """The accepted models, by the name in their identity; the first is assumed before `open`."""
+    """The accepted models, by the name in their identity."""
+    _dialect = DIALECT_34401A
 
     models: tuple[str, ...] = facts.MODELS
     called = "a 34401A"
     hint = "a 34461A must be told SYST:IDEN HP34401A once"
 
-    def __init__(
-        self,
-        name: str,
-        channel: Channel,
-        session: MessageSession,
-        clock: Clock,
-        *,
-        interface: Interface = "lan",
-        line_hz: float = 50.0,
-    ) -> None:
-        super().__init__(name, (channel,), session, clock, interface=interface, line_hz=line_hz)
-        self._dialect = next(iter(self.dialects.values()))
-
     @property
     def limits(self) -> VoltmeterLimits:
-        """The limits of the connected model; before `open`, the limits of the first model in `dialects`."""
+        """The limits of the connected model; before `open`, the limits of the model that names the driver."""
         return self._dialect.limits
 
     def _accept(self, identity: Identity, reply: str) -> None:

@@ -6,15 +6,9 @@ reply until the last reading. Sources: see `drivers.facts.keithley_2000`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from drivers.facts import keithley_2000 as facts
-from drivers.interfaces import Channel, VoltmeterLimits, VoltmeterSettings
-from drivers.scpi_voltmeter import Interface, ProvenSetting, ScpiVoltmeter
-
-if TYPE_CHECKING:
-    from drivers.clock import Clock
-    from drivers.wire.visa import MessageSession
+from drivers.interfaces import VoltmeterLimits, VoltmeterSettings
+from drivers.scpi_voltmeter import ProvenSetting, ScpiVoltmeter
 
 
 class Keithley2000(ScpiVoltmeter):
@@ -32,18 +26,6 @@ class Keithley2000(ScpiVoltmeter):
     overload_v = facts.OVERLOAD_V
     sample_overhead_s = facts.SAMPLE_OVERHEAD_S
     errors_kept = facts.ERRORS_KEPT
-
-    def __init__(
-        self,
-        name: str,
-        channel: Channel,
-        session: MessageSession,
-        clock: Clock,
-        *,
-        interface: Interface = "gpib",
-        line_hz: float = 50.0,
-    ) -> None:
-        super().__init__(name, (channel,), session, clock, interface=interface, line_hz=line_hz)
 
     @property
     def limits(self) -> VoltmeterLimits:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.facts import leica_nivel as facts
 from drivers.interfaces import BadReading, Identity, Inclination, InstrumentRefused, LevelSizes
-from drivers.wire.visa import ProvedSession
+from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -25,7 +25,7 @@ _AXIS: Final = re.compile(rf"([XY]):\s*({_VALUE})")
 _EXAMPLE: Final = "X:-0.084 Y:+0.296 T:+24.4"
 
 
-class LeicaNivel:
+class LeicaNivel(ProvedInstrument):
     """A `Level` that reads the sensor with address N`sensor`.
 
     `along` and `across` name the sensor axes along and across the shaft in the level's first position; their
@@ -50,13 +50,12 @@ class LeicaNivel:
             raise ValueError(
                 f"{name}: along and across need different axes, not both {along[1]} of the sensor"
             )
-        self.name = name
-        self._clock = clock
+        super().__init__(
+            name, session, clock, Identity(facts.MAKER, facts.MODEL), write_gap_s=facts.SLOWEST_REPLY_S
+        )
         self._address = f"N{sensor}"
         self._along, self._across = along, across
         self._averages = averages
-        self._identity = Identity(facts.MAKER, facts.MODEL)
-        self._session = ProvedSession(session, clock, self._prove, write_gap_s=facts.SLOWEST_REPLY_S)
 
     @property
     def sizes(self) -> LevelSizes:
@@ -68,18 +67,6 @@ class LeicaNivel:
             scale=facts.SCALE_ERROR / math.sqrt(3.0),
             cross=math.radians(cross_deg) / math.sqrt(3.0),
         )
-
-    def open(self) -> Identity:
-        """Connect, verify the sensor, and set the number of measurements to average.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Disconnect; the sensor's state is unchanged. Never raises, may be called twice."""
-        self._session.close()
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
         """Return the mean once it holds only measurements of the present position; `turned` is unused.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from drivers.facts import text_line as facts
 from drivers.interfaces import BadReading, Identity
 from drivers.text_line import TextLine
-from drivers.wire.visa import ProvedSession
+from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from drivers.wire.visa import MessageSession
 
 
-class LineThermometer:
+class LineThermometer(ProvedInstrument):
     """A `Thermometer` described in the bench file by its `request` and the `pattern` of its reply.
 
     The group `temperature` of the pattern is the value, °C. `errors` maps each line that the thermometer sends
@@ -39,24 +39,14 @@ class LineThermometer:
         maximum_c: float,
         line_hz: float = 50.0,
     ) -> None:
-        self.name = name
+        super().__init__(name, session, clock, Identity(model, facts.MODEL))
         self.sensor = model
-        self._identity = Identity(model, facts.MODEL)
         self._range_c = minimum_c, maximum_c
         self._line = TextLine(name, request, pattern, facts.TEMPERATURE, errors)
-        self._session = ProvedSession(session, clock, lambda: self._line.number(self._session))
 
-    def open(self) -> Identity:
-        """Connect and take a reading: the form of the reply is the thermometer's only identity.
-
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
-        """
-        self._session.open()
-        return self._identity
-
-    def close(self) -> None:
-        """Disconnect. Never raises, may be called twice."""
-        self._session.close()
+    def _prove(self) -> None:
+        """Take a reading: the form of the reply is the thermometer's only identity."""
+        self._line.number(self._session)
 
     def block_c(self, key: str) -> float:
         """Return the block temperature, °C.

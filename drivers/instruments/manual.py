@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
+from dataclasses import replace
 from typing import Final
 
 from drivers.angles import (
@@ -96,11 +96,8 @@ class ManualHead(ByHand):
 
         Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
-
-        def prompt(prompt_id: str, trouble: str) -> Prompt:
-            task = message("Leave the head as it stands; read its scale and type the angle read.")
-            text = f"{trouble} {task}".lstrip()
-            return Prompt(prompt_id, PromptKind.ANGLE, text, unit="° ′ ″", action={"do": "read_head"})
+        task = message("Leave the head as it stands; read its scale and type the angle read.")
+        question = Prompt(key, PromptKind.ANGLE, task, unit="° ′ ″", action={"do": "read_head"})
 
         def read(typed: str) -> float:
             if not typed:
@@ -111,7 +108,7 @@ class ManualHead(ByHand):
                 raise ValueError(f"{error}.") from None
 
         try:
-            return ask_until(self._person, key, prompt, read, self._max_attempts)
+            return ask_until(self._person, question, read, self._max_attempts)
         except ValueError as trouble:
             raise BadReading(
                 self.name, f"no angle in {self._max_attempts} attempts ({trouble})", "read its scale again"
@@ -120,13 +117,34 @@ class ManualHead(ByHand):
     def _turned(
         self, target_rad: float, direction: Direction, key: str, by_way_of_rad: float | None
     ) -> HeadPosition:
+        target = scale_text(target_rad)
+        action: TurnHead = {
+            "do": "turn",
+            "target_rad": target_rad,
+            "direction": direction,
+            "tolerance_rad": self._tolerance_rad,
+        }
+        question = again = Prompt(
+            id=key,
+            kind=PromptKind.ANGLE,
+            text=message(
+                f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
+            ),
+            default=target if self._enter_accepts_target else None,
+            unit="° ′ ″",
+            action=action,
+        )
+        if by_way_of_rad is not None:  # after a wrong reading the head is back already
+            away = message(f"First turn the head away to {scale_text(by_way_of_rad)}, roughly.")
+            way: TurnHead = {**action, "by_way_of_rad": by_way_of_rad}
+            question = replace(again, text=f"{away} {again.text}", action=way)
         try:
             angle_rad = ask_until(
                 self._person,
-                key,
-                partial(self._prompt, target_rad, direction, by_way_of_rad),
+                question,
                 lambda typed: read_angle(typed, target_rad, self._tolerance_rad),
                 self._max_attempts,
+                again,
             )
         except ValueError as trouble:
             raise LimitExceeded(
@@ -136,36 +154,6 @@ class ManualHead(ByHand):
                 "check the clamp, the scale and the procedure's angle, then redo this point",
             ) from None
         return HeadPosition(angle_rad, direction)
-
-    def _prompt(
-        self,
-        target_rad: float,
-        direction: Direction,
-        by_way_of_rad: float | None,
-        prompt_id: str,
-        trouble: str,
-    ) -> Prompt:
-        target = scale_text(target_rad)
-        task = message(
-            f"Turn the head to {target}: {APPROACH[direction]}; clamp; read again and type the angle read."
-        )
-        action: TurnHead = {
-            "do": "turn",
-            "target_rad": target_rad,
-            "direction": direction,
-            "tolerance_rad": self._tolerance_rad,
-        }
-        if by_way_of_rad is not None and not trouble:  # after a wrong reading the head is back already
-            away = message(f"First turn the head away to {scale_text(by_way_of_rad)}, roughly.")
-            task, action["by_way_of_rad"] = f"{away} {task}", by_way_of_rad
-        return Prompt(
-            id=prompt_id,
-            kind=PromptKind.ANGLE,
-            text=f"{trouble} {task}".lstrip(),
-            default=target if self._enter_accepts_target else None,
-            unit="° ′ ″",
-            action=action,
-        )
 
 
 # --- the level --------------------------------------------------------------------------------------
@@ -223,27 +211,23 @@ class ManualLevel(ByHand):
             f"type by "
             "how many divisions it is off the middle, + towards the marked end (or so many arcsec)."
         )
-
-        def prompt(prompt_id: str, trouble: str) -> Prompt:
-            return Prompt(
-                id=prompt_id,
-                kind=PromptKind.NUMBER,
-                text=f"{trouble} {task}".lstrip(),
-                unit="divisions",
-                action={
-                    "do": "read_level",
-                    "axis": axis,
-                    "turned": turned,
-                    "division_rad": self._division_rad,
-                    "most_divisions": self._most_divisions,
-                },
-            )
-
+        question = Prompt(
+            id=f"{key}/{axis}",
+            kind=PromptKind.NUMBER,
+            text=task,
+            unit="divisions",
+            action={
+                "do": "read_level",
+                "axis": axis,
+                "turned": turned,
+                "division_rad": self._division_rad,
+                "most_divisions": self._most_divisions,
+            },
+        )
         try:
             return ask_until(
                 self._person,
-                f"{key}/{axis}",
-                prompt,
+                question,
                 lambda typed: typed_bubble(typed, self._division_rad, self._most_divisions),
             )
         except ValueError as trouble:
@@ -271,18 +255,15 @@ def ask_temperature(
     `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
     `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
     """
-    task = message(f"{text} and type the temperature in °C.")
-
-    def prompt(prompt_id: str, trouble: str) -> Prompt:
-        return Prompt(
-            id=prompt_id,
-            kind=PromptKind.NUMBER,
-            text=f"{trouble} {task}".lstrip(),
-            unit="°C",
-            minimum=low_c,
-            maximum=high_c,
-            action={"do": "read_temperature"} if of == "block" else {"do": "read_temperature", "of": of},
-        )
+    question = Prompt(
+        id=key,
+        kind=PromptKind.NUMBER,
+        text=message(f"{text} and type the temperature in °C."),
+        unit="°C",
+        minimum=low_c,
+        maximum=high_c,
+        action={"do": "read_temperature"} if of == "block" else {"do": "read_temperature", "of": of},
+    )
 
     def read(typed: str) -> float:
         temperature_c = typed_temperature(typed)
@@ -291,7 +272,7 @@ def ask_temperature(
         return temperature_c
 
     try:
-        return ask_until(person, key, prompt, read)
+        return ask_until(person, question, read)
     except ValueError:
         return None
 

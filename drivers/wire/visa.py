@@ -10,11 +10,12 @@ import contextlib
 import math
 import re
 import threading
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from drivers.clock import Clock, Haste, SystemClock
-from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.interfaces import BadReading, BenchError, Identity, InstrumentLost
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings, probable_cause
 from drivers.wire.resources import Holding
@@ -485,3 +486,44 @@ class ProvedSession:
         left_s = self._wrote_s + self._write_gap_s - self._clock.now_s()
         if left_s > 0.0:
             self._clock.sleep(left_s)
+
+
+UNKNOWN: Final = Identity("", "")
+
+
+class ProvedInstrument(ABC):
+    """The base class of instruments over a `ProvedSession`; `identity` is what is known before `_prove`."""
+
+    def __init__(
+        self,
+        name: str,
+        session: MessageSession,
+        clock: Clock,
+        identity: Identity = UNKNOWN,
+        *,
+        write_gap_s: float = 0.0,
+    ) -> None:
+        self.name = name
+        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
+        self._clock = clock
+        self._identity = identity
+
+    def open(self) -> Identity:
+        """Connect, verify the instrument and return its identity; nothing moves, and no output changes.
+
+        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        """
+        self._session.open()
+        return self._identity
+
+    def close(self) -> str:
+        """Disconnect; the instrument stays as it is. Never raises, may be called twice.
+
+        Returns what a person must still do, an empty string for nothing.
+        """
+        self._session.close()
+        return ""
+
+    @abstractmethod
+    def _prove(self) -> None:
+        """Identify the instrument, verify its settings and set `_identity`. Raises `InstrumentRefused`."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from bench.base.arrays import ARCSEC
 from drivers.interfaces import NoAnswer
-from drivers.person import Answer, MountBlock, Prompt, PromptKind
+from drivers.person import Answer, Prompt, PromptKind
 from sim.world.chance import keyed_generator
 
 if TYPE_CHECKING:
@@ -47,6 +47,16 @@ REST_LOOK_S: Final = 0.5
 LONGEST_WAIT_S: Final = 60.0
 """Interval between calls of `meanwhile` while the person waits for an encoder, and longest such wait, s."""
 _SLIPS_ARCSEC: Final = (3600.0, -3600.0, 600.0, -600.0, 60.0, -60.0)
+_TAKES: Final = {
+    "mount": "mount_time_s",
+    "level_platform": "mount_time_s",
+    "read_head": "second_look_s",
+    **dict.fromkeys(("set_supply", "switch_supply", "read_supply"), "display_time_s"),
+    **dict.fromkeys(
+        ("set_temperature", "read_temperature", "select_input", "place_level", "read_level"), "task_time_s"
+    ),
+}
+"""The tasks that take one of the times in `OperatorSettings`."""
 
 
 @dataclass(frozen=True)
@@ -93,54 +103,35 @@ class ScriptedOperator:
 
         Raises `NoAnswer` for a prompt with neither a known action nor a default.
         """
-        action = prompt.action
+        action, world, text = prompt.action, self._world, ""
+        if (time := _TAKES.get(action["do"])) is not None:
+            self._pass_time(getattr(self._settings, time))
         if action["do"] == "mount":
-            text = self._mount(prompt, action)
+            world.mount(action["installation"], action.get("series", 1))
+            self._turned_for = None
         elif action["do"] == "turn":
             text = self._turn(prompt, action)
         elif action["do"] == "set_temperature":
-            self._pass_time(self._settings.task_time_s)
-            self._world.set_chamber(action["target_c"])
-            text = _confirmation(prompt)
+            world.set_chamber(action["target_c"])
         elif action["do"] == "read_temperature":
-            self._pass_time(self._settings.task_time_s)
-            world = self._world
             shown = {"meter": world.meters_c, "room": world.room_c}.get(action.get("of", ""))
             text = f"{world.block_c if shown is None else shown():.2f}"
         elif action["do"] == "read_head":
-            self._pass_time(self._settings.second_look_s)
-            text = scale_text(self._on_scale(self._world.scale_angle_rad) / ARCSEC)
+            text = scale_text(self._on_scale(world.scale_angle_rad) / ARCSEC)
         elif action["do"] == "select_input":
-            self._pass_time(self._settings.task_time_s)
-            self._world.select_input(action["source"], action.get("reference_v"))
-            text = _confirmation(prompt)
+            world.select_input(action["source"], action.get("reference_v"))
         elif action["do"] == "place_level":
-            self._pass_time(self._settings.task_time_s)
-            self._world.place_level(turned=action["turned"])
-            text = _confirmation(prompt)
+            world.place_level(turned=action["turned"])
         elif action["do"] == "read_level":
-            self._pass_time(self._settings.task_time_s)
-            self._world.place_level(turned=action["turned"])
-            divisions = self._world.level_shows_rad(action["axis"]) / action["division_rad"]
-            text = f"{divisions:.1f}"
+            world.place_level(turned=action["turned"])
+            text = f"{world.level_shows_rad(action['axis']) / action['division_rad']:.1f}"
         elif action["do"] == "level_platform":
-            self._pass_time(self._settings.mount_time_s)
-            self._world.level_platform(action["installation"], action["series"])
-            text = _confirmation(prompt)
+            world.level_platform(action["installation"], action["series"])
         elif action["do"] in ("set_supply", "switch_supply", "read_supply"):
-            self._pass_time(self._settings.display_time_s)
-            text = work_supply(self._world, action) or _confirmation(prompt)
-        elif action["do"] == "confirm_reading":
-            text = _confirmation(prompt)  # what was typed is what the display shows
-        else:
+            text = work_supply(world, action)
+        elif action["do"] != "confirm_reading":  # what was typed is what the display shows
             text = _default(prompt)
-        return Answer(prompt.id, text)
-
-    def _mount(self, prompt: Prompt, action: MountBlock) -> str:
-        self._pass_time(self._settings.mount_time_s)
-        self._world.mount(action["installation"], action.get("series", 1))
-        self._turned_for = None
-        return _confirmation(prompt)
+        return Answer(prompt.id, text or _confirmation(prompt))
 
     def turn_to(
         self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -284,41 +284,62 @@ class Influence:
         return drawn[..., self.group] * self.pattern
 
 
-class AnyReadings(Protocol):
-    """Protocol of the n readings on which error patterns act: a `Setup`, or measured readings."""
+@dataclass(frozen=True)
+class MeasuredReadings:
+    """Measured readings on which errors act; `block` converts their signals to forces.
 
-    @property
-    def signal(self) -> Floats:
-        """The signals, V, shape (n, 3)."""
+    `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
+    calibration used these readings.
+    """
 
-    @property
-    def force(self) -> Floats:
-        """The specific forces on the block, g, shape (n, 3)."""
+    readings: Readings
+    block: Block
+    meters: tuple[int, int, int]
+    setting_slope: Floats
+    calibrated_c: float | None = None
 
-    @property
-    def setting_slope(self) -> Floats:
-        """Derivatives du/dphi of the signals by the head angle, V/rad, shape (n, 3)."""
-
-    @property
-    def orientation(self) -> Ints:
-        """Orientation number of each reading, shape (n,): equal for equal specific forces."""
-
-    @property
+    @cached_property
     def conditions(self) -> Conditions:
         """Mounting, angle, time and temperature of each reading."""
+        return self.readings.conditions()
 
     @property
     def calibrated_k(self) -> float:
-        """The temperature for which the coefficients hold, minus the reference temperature of the model, K."""
+        """The temperature for which the coefficients hold, minus the reference temperature, K."""
+        own = self.conditions
+        return (
+            float(own.warmth_k.mean()) if self.calibrated_c is None else self.calibrated_c - own.reference_c
+        )
 
     @property
-    def block(self) -> Block:
-        """The block of the readings."""
+    def signal(self) -> Floats:
+        """The signals, (n, 3), in the unit of the readings."""
+        return self.readings.signal
 
-    @property
-    def meters(self) -> tuple[int, int, int]:
-        """The voltmeter numbers of x, y and z."""
+    @cached_property
+    def force(self) -> Floats:
+        """The specific forces, g, (n, 3)."""
+        return self.block.specific_force(self.readings.signal)
 
+    @cached_property
+    def orientation(self) -> Ints:
+        """Orientation number of each reading, (n,), equal for equal angles, rounded to a degree, in one
+        installation.
+
+        Each reading without an orientation has a separate number.
+        """
+        of = self.readings
+        degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
+        keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
+        names = np.unique(of.installation, return_inverse=True)[1]
+        alone = np.isin(of.installation, list(UNORIENTED))
+        keys[:, 1] = names
+        keys[alone, 0] = 1000.0 + np.flatnonzero(alone)
+        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
+
+
+AnyReadings = Setup | MeasuredReadings
+"""The n readings on which error patterns act."""
 
 _Patterns = Sequence[tuple[Floats, Ints]]
 """Patterns (n, 3), V per unit of a source, each with its labels of shared draws as in `Influence.of`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -22,6 +22,7 @@ from bench.config.bench_file.file import STAND_ERRORS, BenchFile
 from bench.config.bench_file.stand import ErrorSize, Location, MeasuredGravity, RoomError
 from bench.config.devices.sections import VoltmeterForm
 from bench.model import STAND_ANGLES, Distribution, ForwardModel
+from bench.model.effects import AppliedEffect
 
 ANOMALY_M_S2: Final = 5e-4
 """Local anomalies of gravity about the WGS 84 formula, 50 mGal, 1 sigma."""
@@ -198,13 +199,8 @@ def meter_gain_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[
 
 def _reference_source(bench: BenchFile) -> Iterator[ErrorSource]:
     """Yield the 1/f noise of the references in the voltmeters, per decade of frequency."""
-    stated = bench.uncertainty.reference_noise
-    size = (
-        Size(REFERENCE_NOISE, message("prior: an LM399"), prior=True)
-        if stated is None
-        else Size.stated(stated)
-    )
-    yield _of_size("reference_noise", "1/f", "1", "time", size)
+    stated, origin = bench.uncertainty.reference_noise, message("prior: an LM399")
+    yield _stated("reference_noise", "1/f", "1", "time", stated, REFERENCE_NOISE, origin)
 
 
 THERMAL: Final = {"voltmeter_thermal_gain": "gain", "voltmeter_thermal_offset": "offset"}
@@ -218,11 +214,10 @@ def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]
     whose model has no such gain.
     """
     room, stated = bench.uncertainty.room_temperature, bench.uncertainty.voltmeter_temperature_coefficient
-    known = {c for a in model.effects if THERMAL.get(a.effect.name) == "gain" for c in a.channels}
-    left = tuple(channel for channel in CHANNELS if channel not in known)
+    left = _without(applied for applied in model.effects if THERMAL.get(applied.effect.name) == "gain")
     if room is None or not left:
         return
-    coefficient = (GAIN_PER_K if stated is None else stated.to_distribution()).u
+    coefficient = _u(stated, GAIN_PER_K)
     size = Size.stated(room)
     origin = message(f"{size.origin}; {coefficient * 1e6:.3g} ppm/K (1σ), {exact_duration(room.lag)} late")
     source = _of_size("room_temperature", "T room", "K", "time", replace(size, origin=origin))
@@ -304,21 +299,16 @@ def _temperature_source(bench: BenchFile) -> ErrorSource:
         Distribution(band, "rectangular"), message("band of the chamber")
     )  # fmt: skip
     sizes = (section.bias_temperature_coefficient, section.scale_temperature_coefficient)
-    coefficients = [
-        (prior if size is None else size.to_distribution()).u
-        for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True)
-    ]
+    bias, scale = (_u(size, prior) for size, prior in zip(sizes, (BIAS_PER_K, SCALE_PER_K), strict=True))
     source = _stated("temperature", "T", "K", "run", section.temperature, usual, origin)
     if section.temperature is not None and (time_s := section.temperature.correlation_time) is not None:
         origin = message(f"{source.origin}, correlation time {exact_duration(time_s)}")
         source = replace(source, common="time", correlation_s=time_s, origin=origin)
     return replace(
         source,
-        origin=message(
-            f"{source.origin}; {coefficients[0] * 1e6:.3g} µg/K and {coefficients[1] * 1e6:.3g} ppm/K (1σ)"
-        ),
+        origin=message(f"{source.origin}; {bias * 1e6:.3g} µg/K and {scale * 1e6:.3g} ppm/K (1σ)"),
         prior=section.temperature is None or None in sizes,
-        factors={"bias": coefficients[0], "scale": coefficients[1]},
+        factors={"bias": bias, "scale": scale},
     )
 
 
@@ -346,23 +336,18 @@ def _supply_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSour
     """Yield one source per supply rail; it acts on the channels whose model has no sensitivity to this rail."""
     supply, section = bench.unit_under_test.supply, bench.uncertainty
     sizes = (section.bias_supply_coefficient, section.scale_supply_coefficient)
-    bias, scale = (
-        (prior if size is None else size.to_distribution()).u
-        for size, prior in zip(sizes, (BIAS_PER_V, SCALE_PER_V), strict=True)
-    )
+    bias, scale = (_u(size, prior) for size, prior in zip(sizes, (BIAS_PER_V, SCALE_PER_V), strict=True))
     for number, rail in enumerate(supply.rails if supply else (), start=1):
         usual = Distribution(rail.tolerance, "rectangular")
         source = _stated(
             "", rail.name, "V", "run", section.supply_voltage, usual, message("tolerance of the rail")
         )
-        followed = {
-            channel
+        left = _without(
+            applied
             for applied in model.effects
             if applied.effect.name == "supply_sensitivity"
             and float(applied.complete_values()["rail"]) == number
-            for channel in applied.channels
-        }
-        left = tuple(channel for channel in CHANNELS if channel not in followed)
+        )
         if left:
             yield replace(
                 source,
@@ -387,12 +372,21 @@ def _nonlinearity_sources(bench: BenchFile, model: ForwardModel) -> Iterator[Err
         ("K2", "quadratic_nonlinearity", "1/g", K2_PRIOR),
         ("K3", "cubic_nonlinearity", "1/g^2", K3_PRIOR),
     ):
-        known = {c for a in model.effects if a.effect.name == effect for c in a.channels}
-        left = tuple(channel for channel in CHANNELS if channel not in known)
+        left = _without(applied for applied in model.effects if applied.effect.name == effect)
         if left:
             stated: ErrorSize | None = getattr(bench.uncertainty, name)
             source = _stated(name, name, unit, "run", stated, prior, message("prior: plausible size"))
             yield replace(source, group="block", channels=left)
+
+
+def _u(stated: ErrorSize | None, prior: Distribution) -> float:
+    return (prior if stated is None else stated.to_distribution()).u
+
+
+def _without(effects: Iterable[AppliedEffect]) -> tuple[str, ...]:
+    """Return the channels on which none of the effects acts."""
+    known = {channel for applied in effects for channel in applied.channels}
+    return tuple(channel for channel in CHANNELS if channel not in known)
 
 
 def _stated(

@@ -8,17 +8,16 @@ Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import date
-from functools import cached_property
 from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, Floats, Ints, Mask
+from bench.base.arrays import ARCSEC, Floats
 from bench.base.languages import message
 from bench.base.text import listed
-from bench.calibration.budget.coefficients import meters_of, parts_of
+from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
 from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, foundation_of
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.budget.propagation import effective_dof
@@ -26,74 +25,16 @@ from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_
 from bench.calibration.components import walk_since
 from bench.calibration.result import Calibration, SourceOfError
 from bench.config.bench_file.file import BenchFile
-from bench.model import Block, Conditions, ForwardModel
+from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
 from bench.readings.corrected import VOLTS
-from bench.readings.table import UNORIENTED, VERIFICATION, Readings
+from bench.readings.table import VERIFICATION, Readings
 
 GRAVITY: Final = "gravity"
 METERS: Final = ("voltmeter_gain", "voltmeter_offset")
 """Sources whose error is the same whenever the same voltmeters read the block."""
 OF_BLOCK: Final = ("K2", "K3")
 """Sources whose error belongs to the block and is the same in every calibration and check."""
-
-
-@dataclass(frozen=True)
-class MeasuredReadings:
-    """Measured readings on which errors act; `block` converts their signals to forces.
-
-    `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
-    calibration used these readings.
-    """
-
-    readings: Readings
-    block: Block
-    meters: tuple[int, int, int]
-    setting_slope: Floats
-    calibrated_c: float | None = None
-
-    @cached_property
-    def conditions(self) -> Conditions:
-        """Mounting, angle, time and temperature of each reading."""
-        return self.readings.conditions()
-
-    @property
-    def calibrated_k(self) -> float:
-        """The temperature for which the coefficients hold, minus the reference temperature, K."""
-        own = self.conditions
-        return (
-            float(own.warmth_k.mean()) if self.calibrated_c is None else self.calibrated_c - own.reference_c
-        )
-
-    @property
-    def signal(self) -> Floats:
-        """The signals, (n, 3), in the unit of the readings."""
-        return self.readings.signal
-
-    @cached_property
-    def force(self) -> Floats:
-        """The specific forces, g, (n, 3)."""
-        return self.block.specific_force(self.readings.signal)
-
-    @cached_property
-    def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,), equal for equal angles, rounded to a degree, in one
-        installation.
-
-        Each reading without an orientation has a separate number.
-        """
-        of = self.readings
-        degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
-        keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
-        names = np.unique(of.installation, return_inverse=True)[1]
-        alone = ~self._oriented
-        keys[:, 1] = names
-        keys[alone, 0] = 1000.0 + np.flatnonzero(alone)
-        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
-
-    @property
-    def _oriented(self) -> Mask:
-        return ~np.isin(self.readings.installation, list(UNORIENTED))
 
 
 def sign(
