@@ -145,7 +145,7 @@ class BlockEffect(Effect):
 
     stage = Stage.BLOCK_OUTPUT
     subsystem = Subsystem.BLOCK
-    shows_on = ("block",)
+    shows_on: tuple[str, ...] = ("block",)
 
 
 class StandEffect(Effect):
