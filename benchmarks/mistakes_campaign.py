@@ -39,11 +39,10 @@ from bench.config.procedure.load import load_procedure
 from bench.config.procedure.plan import Plan
 from bench.config.procedure.steps import Mount, Read, Turn, Wait
 from bench.model import ForwardModel
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.assembly.instruments import operator_of, world_of
-from bench.run.early_warning import watcher_of
+from bench.run.early_warning import MOST_LISTED, watcher_of
 from bench.run.events import Event, EventType, Mounted, result_to_json
-from bench.run.expectation import MOST_LISTED
 from bench.run.folder import Run
 from bench.run.person import mount_prompt
 from bench.services.calibration import calibration_of

@@ -241,7 +241,7 @@ def signals_of_pass() -> dict[int, Floats]:
 
 def reading_of(step: Read, angle_deg: float, time_s: float, samples: Floats) -> Any:
     """Return a reading with samples (n, 3), V, and all else that a bench records of a reading."""
-    from bench.readings.reading import Reading
+    from bench.readings.table import Reading
     from bench.run.samples import describe
     from drivers.interfaces import CHANNELS
 

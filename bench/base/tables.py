@@ -31,7 +31,6 @@ class _Rows(Table):
     """A table whose cells show control characters as escapes; columns are as wide as the escaped text."""
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        """Add a row; control characters in its texts are shown as escapes."""
         super().add_row(*(visible(cell) if isinstance(cell, str) else cell for cell in cells), **options)
 
 

@@ -499,7 +499,6 @@ def _not_yaml(path: Path, text: str, error: yaml.YAMLError) -> FileMistakes:
 
 
 def _hinted(problem: str) -> str:
-    """Return the parser's message with a hint at the usual cause added."""
     if "'\\t'" in problem:
         return f"{problem}; indent with spaces, not with tabs"
     if "mapping values are not allowed" in problem:

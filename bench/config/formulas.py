@@ -58,17 +58,14 @@ class _DimensionReading:
         self._known = known
 
     def number(self, value: float, unit: str) -> tuple[float | None, Dimension]:
-        """Return (number, dimension) of a literal; the number is None for a literal with a unit."""
         return (None if unit else value), unit_of(unit)[1]
 
     def name(self, name: str) -> tuple[float | None, Dimension]:
-        """Return (None, dimension) of a variable or parameter."""
         return None, self._known[name]
 
     def operation(
         self, symbol: str, left: tuple[float | None, Dimension], right: tuple[float | None, Dimension]
     ) -> tuple[float | None, Dimension]:
-        """Return (number, dimension) of the result. Raises `ExpressionError` for incompatible dimensions."""
         of_left, of_right = left[1], right[1]
         if symbol == "*":
             both = None if left[0] is None or right[0] is None else left[0] * right[0]
@@ -99,7 +96,6 @@ class _DimensionReading:
     def call(
         self, name: str, arguments: list[tuple[float | None, Dimension]]
     ) -> tuple[float | None, Dimension]:
-        """Return (number, dimension) of the result. Raises `ExpressionError` for arguments of a wrong dimension."""
         of_first = arguments[0][1]
         match name:
             case "abs":
@@ -250,7 +246,6 @@ def formula_mistakes(entries: Any, place: Place) -> Iterator[tuple[Place, str]]:
 
 
 def _readable(entries: Any) -> Iterator[tuple[int, FormulaEntry]]:
-    """Yield the index and the validated entry of each written formula whose keys are all valid."""
     for index, written in enumerate(entries if isinstance(entries, list) else []):
         try:
             yield index, FormulaEntry.model_validate(written)
@@ -306,7 +301,6 @@ def _shown_by(entry: FormulaEntry) -> str:
 
 
 def _parameter(name: str, stated: FormulaParameter, stage: Stage) -> Parameter:
-    """Return the parameter that a file states. Raises `ValueError` with a one-sentence message."""
     if stated.grid and stated.plausible is not None:
         raise ValueError(f"{name}: state 'plausible' (for a size) or 'grid' (for a shape), not both")
     if stated.grid:

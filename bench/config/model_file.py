@@ -246,7 +246,6 @@ def _mounting_mistakes(written: Iterable[str], installations: Collection[str]) -
 
 
 def _channels(written: Any) -> tuple[Channel, ...]:
-    """Return the channels as written; all channels if they are missing or unreadable."""
     return tuple(c for c in CHANNELS if c in written) if isinstance(written, list) and written else CHANNELS
 
 
@@ -343,13 +342,10 @@ def write_model_file(
 
     Raises `FileMistakes` if `path` exists: a model file is never overwritten.
     """
+    told = {key: str(value) for key, value in (evidence or {}).items()} or None
+    stated = {"data_sha256": data_sha256, "evidence": told, "dark_uncertainty": dark_uncertainty}
     content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
-    if data_sha256 is not None:
-        content["data_sha256"] = data_sha256
-    if evidence:
-        content["evidence"] = {key: str(value) for key, value in evidence.items()}
-    if dark_uncertainty is not None:
-        content["dark_uncertainty"] = dark_uncertainty
+    content |= {key: value for key, value in stated.items() if value is not None}
     content |= written_effects(effects)
     text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
     try:

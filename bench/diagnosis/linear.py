@@ -312,8 +312,8 @@ class LinearSystem:
         turned = np.array(known, dtype=bool)[conditions.mount] & np.isnan(self.view.force[:, 0])
 
         def acting(stand: Floats, setting_rad: float = 0.0) -> Floats:
-            own = model.readings_in_order(self.block, conditions, stand, setting_rad, force=self.view.force)
-            return np.where(turned[:, None] & np.isnan(self.view.voltage_v), own, 0.0)
+            own = Stages(model, self.block, conditions, stand, setting_rad, force=self.view.force)
+            return np.where(turned[:, None] & np.isnan(self.view.voltage_v), own.readings, 0.0)
 
         steps = [STEP_RAD * (np.arange(len(STAND_ANGLES)) == i) for i in range(len(STAND_ANGLES))]
         differences = [acting(still + step) - acting(still - step) for step in steps]

@@ -18,6 +18,7 @@ from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.noise import repeat_groups, whiten
 from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model.forward import Stages
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import FREE, VERIFICATION, Readings
 
@@ -296,7 +297,7 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
         force = np.full((len(readings), 3), np.nan)
         force[chosen] = block.specific_force(rows.signal) + by_effects
         for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
-            predicted = model.readings_in_order(block, conditions, stand, force=force, voltage_v=voltage_v)
+            predicted = Stages(model, block, conditions, stand, force=force, voltage_v=voltage_v).readings
             step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
             force[chosen] += step
             if np.max(np.abs(step)) < NEGLIGIBLE:

@@ -43,7 +43,8 @@ class ForwardModel:
         unknown = {mount.installation for mount in conditions.mounts} - set(self.installations)
         if unknown:
             raise KeyError(", ".join(sorted(unknown)))
-        static = self._force_of_stand(conditions, stand_rad, block, setting_error_rad)
+        rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
+        static = self.static_force(conditions, *self.angles(conditions, rows, angle_rad, block))
         return self.force(static, conditions, block)
 
     def readings(
@@ -52,26 +53,6 @@ class ForwardModel:
         """Return the predicted readings in volts, shape (n, 3); the arguments are those of `specific_force`."""
         force = self.specific_force(conditions, stand_rad, block, setting_error_rad)
         return self.voltmeter_readings(self.output(force, conditions, block), conditions, block)
-
-    def readings_in_order(
-        self,
-        block: Block,
-        conditions: Conditions,
-        stand_rad: Floats,
-        setting_error_rad: Floats | float = 0.0,
-        *,
-        force: Floats | None = None,
-        voltage_v: Floats | None = None,
-    ) -> Floats:
-        """Return the predicted readings in V, shape (n, 3), for a mixture of signal, shorted and reference rows.
-
-        All rows are needed in the order of measurement, because an effect may depend on earlier rows. Where `force`
-        (n, 3), in g, is not NaN, it replaces the force of the installation. Where `voltage_v` (n, 3) is not NaN, it
-        replaces the block's signal at the meter inputs. A row in an unknown installation is NaN unless `force` or
-        `voltage_v` is given for it. Other arguments are as for `specific_force`.
-        """
-        given = (self, block, conditions, stand_rad, setting_error_rad)
-        return Stages(*given, force=force, voltage_v=voltage_v).readings
 
     def readings_at(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
         """Return the predicted readings in volts, shape (n, 3), for given specific forces instead of orientations.
@@ -92,14 +73,6 @@ class ForwardModel:
         """
         return voltage_v + self._additions(Stage.VOLTMETER_READING, voltage_v, conditions, block)
 
-    def _force_of_stand(
-        self, conditions: Conditions, stand_rad: Floats, block: Block, setting_error_rad: Floats | float
-    ) -> Floats:
-        """Return the static specific force on block axes, g, shape (n, 3), including effects of stand and head."""
-        rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
-        stand, angle = self.angles(conditions, rows, angle_rad, block)
-        return self.static_force(conditions, stand, angle)
-
     def angles(
         self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats, block: Block
     ) -> tuple[Floats, Floats]:
@@ -117,7 +90,8 @@ class ForwardModel:
         `stand_rad` (n, 5) and `angle_rad` (n,) are the stand and head angles of each reading, all effects included.
         """
         on_platform = specific_force_on_platform(angle_rad, stand_rad)
-        return np.asarray(np.einsum("nij,nj->ni", self._turns(conditions)[conditions.mount], on_platform))
+        _, turns = self._turned(conditions)
+        return np.asarray(np.einsum("nij,nj->ni", turns[conditions.mount], on_platform))
 
     def _additions(
         self, stage: Stage, signal: Floats, conditions: Conditions, block: Block
@@ -132,33 +106,28 @@ class ForwardModel:
         self, applied: AppliedEffect, signal: Floats, conditions: Conditions, block: Block
     ) -> Floats:
         """Return what one effect adds at its stage to the `signal` there (see `Stage`)."""
-        rows = self._with_turns(conditions) if applied.effect.needs_path else conditions
+        rows = self._turned(conditions)[0] if applied.effect.needs_path else conditions
         return applied.addition(Seen(signal, rows, block))
 
-    def _with_turns(self, conditions: Conditions) -> Conditions:
-        """Return the conditions with `turns` filled in; the result is cached, so a second call returns the same
-        object.
-        """
-        kept: tuple[object, Conditions] | None = conditions.memory.get("turned")
-        if kept is None or kept[0] is not self.installations:
-            kept = self.installations, replace(conditions, turns=self._turns(conditions))
-            conditions.memory["turned"] = kept
-        return kept[1]
-
-    def _turns(self, conditions: Conditions) -> Floats:
-        """Return `block_from_platform` of each mounting, shape (mounts, 3, 3), NaN for an unknown installation."""
-        kept: tuple[object, Floats] | None = conditions.memory.get("turns")
+    def _turned(self, conditions: Conditions) -> tuple[Conditions, Floats]:
+        """Return the conditions with `turns` filled in, and `turns`; a second call returns the same objects."""
+        kept: tuple[object, Conditions, Floats] | None = conditions.memory.get("turned")
         if kept is None or kept[0] is not self.installations:
             known = [self.installations.get(mount.installation) for mount in conditions.mounts]
             turns = np.stack([_UNKNOWN_TURN if i is None else i.block_from_platform for i in known])
-            kept = conditions.memory["turns"] = self.installations, turns
-        return kept[1]
+            kept = self.installations, replace(conditions, turns=turns), turns
+            conditions.memory["turned"] = kept
+        return kept[1:]
 
 
 class Stages:
     """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages.
 
-    `readings` are those of `ForwardModel.readings_in_order`, with the same arguments.
+    `readings` are the predicted readings in V, shape (n, 3), for a mixture of signal, shorted and reference rows in
+    the order of measurement. Where `force` (n, 3), in g, is not NaN, it replaces the force of the installation.
+    Where `voltage_v` (n, 3) is not NaN, it replaces the block's signal at the meter inputs. A row in an unknown
+    installation is NaN unless `force` or `voltage_v` is given for it. Other arguments are as for
+    `ForwardModel.specific_force`.
     """
 
     def __init__(

@@ -14,7 +14,7 @@ from bench.base.files import open_regular
 from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import (
     EVENTS,
     CameToRest,

@@ -19,7 +19,7 @@ from bench.config.procedure.steps import precision_in_words
 from bench.model.geometry import Installation
 from bench.panel.mounting_drawing import mounting, turn
 from bench.panel.run_events import RunView
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import ENDED, Event, RunState, Wish
 from bench.run.person import REASON, AskedPrompt
 from bench.run.resume import redo_from

@@ -23,7 +23,7 @@ from bench.config.procedure.plan import Mount, Plan, Read
 from bench.panel.holding import Holding, read_holding
 from bench.panel.run_events import RunView, Tail
 from bench.panel.run_state import About, snapshot
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.early_warning import watcher_of
 from bench.run.events import Event, EventType, RecordError
 from bench.run.folder import BENCH, Run

@@ -3,48 +3,244 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
 from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
+from bench.readings.corrected import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
 from bench.run.expectation import (
-    ABSENT,
-    AS_IT_IS,
-    CABLED,
-    CABLINGS,
-    FIRST_ORIENTATION,
-    FREE,
-    LASTING,
-    REVERSALS,
-    REVERSED_MEANWHILE,
-    SAT_RIGHT,
     SETTING,
-    SHIFTS,
-    UNLIKELY,
     Expectation,
     ExpectedPose,
-    Kind,
-    Member,
     NoiseSizes,
-    OtherPose,
     ReadingJudgement,
-    ReplayedReadings,
     Sighting,
-    Supposition,
-    Suspect,
-    head_elsewhere,
-    other_installation,
     poses,
 )
-from drivers.angles import format_dms
+from drivers.angles import format_dms, wrapped_rad
+
+
+class Kind(StrEnum):
+    """Kinds of mistakes; an early sign records the kinds beside its sentence."""
+
+    CABLING = "cabling"
+    ROTATION = "rotation"
+    INSTALLATION = "installation"
+    ORIENTATION = "orientation"
+    NOT_TURNED = "not_turned"
+    NEXT_POINT = "next_point"
+    WRONG_WAY = "wrong_way"
+    SLIP = "slip"
+    MOVED = "moved"
+    TILTED = "tilted"
+    CHANNEL = "channel"
+    EARLIER = "earlier"
+
+
+LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
+"""Mistakes that persist until somebody corrects them; the others affect a single reading."""
+
+FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
+"""Shifts of unknown size; they are dropped if a mistake of definite size is the likeliest."""
+
+UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
+"""Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
+
+FIRST_ORIENTATION: Final = 3.0
+"""Additional prior cost in the first mounting, where wrong cables and a wrong orientation look the same."""
+
+OTHER_INSTALLATION: Final = 4.0
+"""Prior cost of an installation other than that of the previous mounting."""
+
+REVERSED_MEANWHILE: Final = 7.0
+"""Prior cost of reversed wires of one channel after other readings of the mounting have fitted.
+
+If only the sign of one channel's signal changes, a head that was not turned is the more common cause.
+"""
+
+SAT_RIGHT: Final = 12.0
+"""Prior cost of another orientation at a single reading, after other readings of the mounting have fitted."""
+
+SAME_RAD: Final = float(np.radians(0.5))
+"""Suppositions of angles that differ by less than this, rad, count as one."""
+
+
+@dataclass(frozen=True)
+class Supposition:
+    """A supposed mistake in words, with its kind; `unlikely` is its prior cost (-2 ln probability)."""
+
+    text: str
+    kind: Kind
+    unlikely: float = 0.0
+
+
+@dataclass(frozen=True)
+class OtherPose:
+    """The supposition of another pose: installation `label`, at the recorded head angle plus `off_rad`."""
+
+    supposed: Supposition
+    label: str
+    off_rad: float = 0.0
+
+
+def _said(wiring: Wiring) -> str:
+    """Return a phrase on a wiring mistake, such as "channel x is reversed"."""
+    match wiring.channels:
+        case (one,):
+            return f"channel {one} is reversed"
+        case one, other:
+            return f"channels {one} and {other} are swapped"
+    return f"the channels are exchanged in turn: {wiring.shown}"
+
+
+CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
+"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
+
+REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
+"""The phrases of `CABLINGS` in which the wires of one channel are reversed."""
+
+EXCHANGED_IN_TURN: Final = 4.0
+"""Prior cost of three exchanged cables, which resemble a block in another orientation."""
+
+CABLED: Final = tuple(
+    Supposition(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
+    for wiring in (*EXCHANGED, *REVERSED)
+)
+
+
+def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
+    """Return the supposition that the block sits in installation `actual` instead of `stated`.
+
+    `before` is the installation of the previous mounting; a block left in it is the likeliest mistake of this kind.
+    """
+    text = f"the block sits in installation {actual}, not in {stated}"
+    return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
+
+
+def head_elsewhere(
+    label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
+) -> list[OtherPose]:
+    """Return the suppositions that the head was at another angle than recorded.
+
+    `last_rad` is the angle of the previous point on the same mounting, `next_rad` that of the next point.
+    `pivot_rad` is the angle of the last point that fitted; from there the head may have turned the wrong way.
+    """
+    found: list[OtherPose] = []
+
+    def add(text: str, kind: Kind, off_rad: float) -> None:
+        off_rad = wrapped_rad(off_rad)
+        if abs(off_rad) > SAME_RAD and all(
+            abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found
+        ):
+            supposed = Supposition(text, kind, UNLIKELY.get(kind, 0.0))
+            found.append(OtherPose(supposed, label, off_rad))
+
+    if last_rad is not None:
+        add(
+            f"the head was not turned: the signals are those of the point before, at {format_dms(last_rad)}",
+            Kind.NOT_TURNED,
+            last_rad - angle_rad,
+        )
+    if next_rad is not None:
+        text = f"the head was turned to the next point: it stood at {format_dms(next_rad)}"
+        add(text, Kind.NEXT_POINT, next_rad - angle_rad)
+    reflected = float(reflected_rad(np.asarray(angle_rad)))
+    if pivot_rad is not None:
+        stood = 2 * pivot_rad - angle_rad
+        also = ", or 360° - x was read for x" if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD else ""
+        text = f"the head was turned the wrong way{also}: it stood at {format_dms(stood % (2 * np.pi))}"
+        add(text, Kind.WRONG_WAY, stood - angle_rad)
+    add("the head stood at 360° - x where x was read", Kind.SLIP, reflected)
+    slips = [
+        OtherPose(
+            Supposition(
+                f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}",
+                Kind.SLIP,
+                UNLIKELY[Kind.SLIP],
+            ),
+            label,
+            off,
+        )
+        for name, slip in SLIPS_RAD.items()
+        for off in (slip, -slip)
+        if all(abs(wrapped_rad(one.off_rad - off)) > SAME_RAD for one in found)
+    ]
+    add("the head stood on the opposite side of its circle (180°)", Kind.SLIP, float(np.pi))
+    return [*found, *slips]
+
+
+SHIFTS: Final = 5
+"""Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
+
+AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
+"""Special values of a shift number: the reading is used as recorded, or left out."""
+
+
+@dataclass(frozen=True)
+class Suspect:
+    """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
+
+    `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
+    is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
+    resembles this mistake, so that it may stop the run; `free` says that the mistake is a shift of unknown size.
+    """
+
+    text: str
+    kind: Kind
+    cost: float
+    stops: bool = True
+    earlier: int | None = None
+    moved_rad: float | None = None
+    u_rad: float = 0.0
+    free: bool = False
+
+
+@dataclass(frozen=True)
+class Member:
+    """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
+
+    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number of
+    a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
+    """
+
+    supposed: Supposition
+    cabling: Floats = field(default_factory=lambda: np.eye(3))
+    pose: int = 0
+    since: int = 0
+    reading: int | None = None
+    shift: int = AS_IT_IS
+
+    def pose_at(self, i: int) -> int:
+        """Return the index of the pose that applies at reading `i`."""
+        return self.pose if i >= self.since and self.reading in (None, i) else 0
+
+    def shift_at(self, i: int) -> int:
+        """Return `shift` if `i` is `reading`, otherwise `AS_IT_IS`."""
+        return self.shift if self.reading == i else AS_IT_IS
+
+
+@dataclass(frozen=True)
+class ReplayedReadings:
+    """The result of replaying all n readings for each of m members, that is, under each of m supposed mistakes.
+
+    `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
+    likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
+    which readings updated each member's expectation.
+    """
+
+    state: Expectation
+    cost: Floats
+    before: float
+    taken: Mask
+
 
 TIE: Final = 6.0
 """Causes whose costs (-2 ln likelihood) differ by less are all named: the odds are below 20 : 1 (2 ln 20 = 6)."""
@@ -91,8 +287,7 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` is the expectation with a single member; `before` is the cost (-2 ln likelihood) of earlier
-        readings.
+        `state` is the expectation with a single member; `before` is the cost (-2 ln likelihood) before it.
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -111,7 +306,6 @@ class Inquiry:
         return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
-        """Return mistakes that explain `sighting`: another installation, or another angle of the head."""
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
         supposed = [
@@ -224,7 +418,7 @@ class Inquiry:
 
     def without(self, history: Sequence[Sighting], k: int) -> ReplayedReadings:
         """Replay all readings except the reading with index `k`."""
-        return self.replay(history, [Member(Supposition("", Kind.EARLIER), reading=k, shift=ABSENT)])
+        return self.replay(history, [replace(AS_RECORDED, reading=k, shift=ABSENT)])
 
     def replay(
         self, history: Sequence[Sighting], members: Sequence[Member] = (AS_RECORDED,)
@@ -243,7 +437,11 @@ class Inquiry:
                 state.remount(self.stand_u)
             state.loosen(sighting.loosened)
             pose = np.array([member.pose_at(i) for member in members])
-            at = _chosen(self._all_poses(sighting), pose) if pose.any() else sighting.pose
+            at = (
+                ExpectedPose(*(each[pose] for each in self._all_poses(sighting)))
+                if pose.any()
+                else sighting.pose
+            )
             shift = np.array([member.shift_at(i) for member in members])
             further = None
             if (shift < SHIFTS).any():
@@ -284,7 +482,6 @@ class Inquiry:
 
 
 def _settings(sighting: Sighting) -> list[OtherPose]:
-    """Return the suppositions of other head angles at a reading that are far enough off to stop a run."""
     at, label = sighting.angle_rad, sighting.installation
     found = head_elsewhere(label, at, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
     return [one for one in found if abs(one.off_rad) > LARGE_RAD]
@@ -308,10 +505,6 @@ def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
         return []
     rivals = (s for s in ranked.values() if best.free or not s.free)
     return sorted((s for s in rivals if s.cost - best.cost < TIE), key=lambda s: s.cost)
-
-
-def _chosen(pose: ExpectedPose, index: NDArray[np.int64]) -> ExpectedPose:
-    return ExpectedPose(pose.force[index], pose.slopes[index], pose.addition[index])
 
 
 STOP_ALARM: Final = 1e-6

@@ -19,9 +19,8 @@ from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
-from bench.readings.reading import Reading, readings_of
-from bench.readings.table import UNORIENTED
-from bench.run.causes import Confidence, Inquiry, likeliest
+from bench.readings.table import UNORIENTED, Reading, readings_of
+from bench.run.causes import Confidence, Inquiry, Suspect, likeliest
 from bench.run.events import Event, EventType, Mounted
 from bench.run.expectation import (
     SETTING,
@@ -32,12 +31,8 @@ from bench.run.expectation import (
     ReadingJudgement,
     RepeatNoise,
     Sighting,
-    Suspect,
-    millivolts,
-    misfit,
     orientations,
     poses,
-    why,
 )
 from bench.run.resume import PlanProgress
 from drivers.angles import format_dms
@@ -80,6 +75,10 @@ Place = tuple[int, str, int, int]
 
 TOLD_SIGMA: Final = 3.0
 """A warning names the channels whose residuals exceed this number of standard deviations."""
+
+
+MOST_LISTED: Final = 3
+"""Greatest number of causes named in a sign; if there are more, the sign also states their number."""
 
 
 class EarlyWarning:
@@ -335,7 +334,7 @@ class EarlyWarning:
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
-        words = f"{misfit(judged, channels)}; {self._why(causes, at_fault)}"
+        words = f"{_misfit(judged, channels)}; {_why(causes, at_fault)}"
         return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
@@ -344,19 +343,15 @@ class EarlyWarning:
         if found is None:
             return []
         wrong, causes = found
-        words = message(f"it fits, so {self._why(causes, wrong)}")
+        words = message(f"it fits, so {_why(causes, wrong)}")
         return [self._sign(self._history[-1], judged, (), words, causes, wrong, confident=True)]
-
-    @staticmethod
-    def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
-        return why([cause.text for cause in causes], at_fault.place if at_fault else None)
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
         """Return the sign that the bench is noisier than its file states; `take` returns it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
         words = message(
-            f"repeats scatter by {millivolts(found)}, but the bench file states {millivolts(stated)}; this "
+            f"repeats scatter by {_millivolts(found)}, but the bench file states {_millivolts(stated)}; this "
             "noise may have caused the warnings so far, and it hides smaller mistakes"
         )
         sign = self._sign(sighting, judged, CHANNELS, words, [])
@@ -470,3 +465,36 @@ def watcher_of(plan: Plan, bench: BenchFile) -> EarlyWarning:
         readings=len(reads),
         following=following,
     )
+
+
+def _misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
+    """Return a phrase on the deviations of the reading from the expectation, for the given channels."""
+    parts = []
+    for channel in channels:
+        i = CHANNELS.index(channel)
+        off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
+        parts.append(
+            f"channel {channel} differs by {_millivolts(off_v, '+')} from the prediction "
+            f"(u = {_millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
+        )
+    return ", ".join(parts)
+
+
+def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
+    """Return a phrase on the causes; `at_fault` is an earlier reading that was wrong, if any."""
+    texts = [cause.text for cause in causes]
+    if at_fault:
+        mistake = f"the mistake is at {at_fault.place}, which does not fit the other readings"
+        return f"{mistake}: {' or '.join(texts)}" if causes else mistake
+    if not causes:
+        return "no known single mistake explains it"
+    if len(causes) > MOST_LISTED:
+        listed = " or ".join(texts[:MOST_LISTED])
+        return f"{len(causes)} mistakes explain it so far, the likeliest: {listed}"
+    return f"probable cause: {' or '.join(texts)}"
+
+
+def _millivolts(value_v: float, sign: str = "") -> str:
+    """Return a voltage in millivolts with its unit, to about three digits: 0.01234 -> "12.3 mV"."""
+    digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
+    return f"{value_v * 1e3:{sign}.{digits}f} mV"

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, TypedDict, cast
 
 from bench.base.files import read_regular
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 
 EVENTS: Final = "events.jsonl"
 MANIFEST: Final = "run.json"

@@ -1,16 +1,14 @@
-"""The expectation of the next reading, the early sign of a misfit, and the mistakes that may cause a misfit."""
+"""The expectation of the next reading, and the early sign of a misfit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
-from enum import StrEnum
+from dataclasses import asdict, dataclass, replace
 from itertools import permutations, product
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
@@ -18,8 +16,6 @@ from bench.calibration.design import STEP_RAD, coefficient_columns
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, Installation
-from bench.readings.corrected import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
-from drivers.angles import format_dms, wrapped_rad
 
 COEFFICIENT_COUNT: Final = 12
 SETTING: Final = len(STAND_ANGLES)
@@ -243,10 +239,6 @@ class ExpectedSignals:
         return float(weighted @ (signals - self.signals)) / information, 1.0 / math.sqrt(information)
 
 
-MOST_LISTED: Final = 3
-"""Greatest number of causes named in a sign; if there are more, the sign also states their number."""
-
-
 @dataclass(frozen=True)
 class EarlySign:
     """A warning that a reading does not fit the earlier ones.
@@ -275,135 +267,6 @@ class EarlySign:
     def to_json(self) -> dict[str, Any]:
         """Return the sign as the data of an event."""
         return asdict(self)
-
-
-def misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
-    """Return a phrase on the deviations of the reading from the expectation, for the given channels."""
-    parts = []
-    for channel in channels:
-        i = CHANNELS.index(channel)
-        off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
-        parts.append(
-            f"channel {channel} differs by {millivolts(off_v, '+')} from the prediction "
-            f"(u = {millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
-        )
-    return ", ".join(parts)
-
-
-def why(causes: Sequence[str], at_fault: str | None) -> str:
-    """Return a phrase on the causes; `at_fault` is the place of an earlier reading that was wrong, if any."""
-    if at_fault:
-        mistake = f"the mistake is at {at_fault}, which does not fit the other readings"
-        return f"{mistake}: {' or '.join(causes)}" if causes else mistake
-    if not causes:
-        return "no known single mistake explains it"
-    if len(causes) > MOST_LISTED:
-        listed = " or ".join(causes[:MOST_LISTED])
-        return f"{len(causes)} mistakes explain it so far, the likeliest: {listed}"
-    return f"probable cause: {' or '.join(causes)}"
-
-
-def millivolts(value_v: float, sign: str = "") -> str:
-    """Return a voltage in millivolts with its unit, to about three digits: 0.01234 -> "12.3 mV"."""
-    digits = 0 if abs(value_v) >= 0.1 else 1 if abs(value_v) >= 0.01 else 2
-    return f"{value_v * 1e3:{sign}.{digits}f} mV"
-
-
-class Kind(StrEnum):
-    """Kinds of mistakes; an early sign records the kinds beside its sentence."""
-
-    CABLING = "cabling"
-    ROTATION = "rotation"
-    INSTALLATION = "installation"
-    ORIENTATION = "orientation"
-    NOT_TURNED = "not_turned"
-    NEXT_POINT = "next_point"
-    WRONG_WAY = "wrong_way"
-    SLIP = "slip"
-    MOVED = "moved"
-    TILTED = "tilted"
-    CHANNEL = "channel"
-    EARLIER = "earlier"
-
-
-LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
-"""Mistakes that persist until somebody corrects them; the others affect a single reading."""
-
-FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
-"""Shifts of unknown size; they are dropped if a mistake of definite size is the likeliest."""
-
-UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
-"""Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
-
-FIRST_ORIENTATION: Final = 3.0
-"""Additional prior cost in the first mounting, where wrong cables and a wrong orientation look the same."""
-
-OTHER_INSTALLATION: Final = 4.0
-"""Prior cost of an installation other than that of the previous mounting."""
-
-REVERSED_MEANWHILE: Final = 7.0
-"""Prior cost of reversed wires of one channel after other readings of the mounting have fitted.
-
-If only the sign of one channel's signal changes, a head that was not turned is the more common cause.
-"""
-
-SAT_RIGHT: Final = 12.0
-"""Prior cost of another orientation at a single reading, after other readings of the mounting have fitted."""
-
-SAME_RAD: Final = float(np.radians(0.5))
-"""Suppositions of angles that differ by less than this, rad, count as one."""
-
-
-@dataclass(frozen=True)
-class Supposition:
-    """A supposed mistake in words, with its kind; `unlikely` is its prior cost (-2 ln probability)."""
-
-    text: str
-    kind: Kind
-    unlikely: float = 0.0
-
-
-@dataclass(frozen=True)
-class OtherPose:
-    """The supposition of another pose: installation `label`, at the recorded head angle plus `off_rad`."""
-
-    supposed: Supposition
-    label: str
-    off_rad: float = 0.0
-
-
-def _said(wiring: Wiring) -> str:
-    """Return a phrase on a wiring mistake, such as "channel x is reversed"."""
-    match wiring.channels:
-        case (one,):
-            return f"channel {one} is reversed"
-        case one, other:
-            return f"channels {one} and {other} are swapped"
-    return f"the channels are exchanged in turn: {wiring.shown}"
-
-
-CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
-
-REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
-"""The phrases of `CABLINGS` in which the wires of one channel are reversed."""
-
-EXCHANGED_IN_TURN: Final = 4.0
-"""Prior cost of three exchanged cables, which resemble a block in another orientation."""
-
-CABLED: Final = tuple(
-    Supposition(_said(wiring), Kind.CABLING, EXCHANGED_IN_TURN if len(wiring.channels) == 3 else 0.0)
-    for wiring in (*EXCHANGED, *REVERSED)
-)
-
-
-def other_installation(actual: str, stated: str, before: str | None) -> Supposition:
-    """Return the supposition that the block sits in installation `actual` instead of `stated`.
-
-    `before` is the installation of the previous mounting; a block left in it is the likeliest mistake of this kind.
-    """
-    text = f"the block sits in installation {actual}, not in {stated}"
-    return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
 
 def _quarter_turns() -> tuple[tuple[tuple[int, ...], tuple[float, ...], Floats], ...]:
@@ -436,65 +299,6 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
         text = f"the block is not mounted as in installation {label}: {where}"
         found[text] = Installation(text, turned)
     return found
-
-
-def head_elsewhere(
-    label: str, angle_rad: float, last_rad: float | None, next_rad: float | None, pivot_rad: float | None
-) -> list[OtherPose]:
-    """Return the suppositions that the head was at another angle than recorded.
-
-    `last_rad` is the angle of the previous point on the same mounting, `next_rad` that of the next point.
-    `pivot_rad` is the angle of the last point that fitted; from there the head may have turned the wrong way.
-    """
-    found: list[OtherPose] = []
-
-    def add(text: str, kind: Kind, off_rad: float) -> None:
-        off_rad = wrapped_rad(off_rad)
-        if abs(off_rad) > SAME_RAD and all(
-            abs(wrapped_rad(one.off_rad - off_rad)) > SAME_RAD for one in found
-        ):
-            supposed = Supposition(text, kind, UNLIKELY.get(kind, 0.0))
-            found.append(OtherPose(supposed, label, off_rad))
-
-    if last_rad is not None:
-        add(
-            f"the head was not turned: the signals are those of the point before, at {format_dms(last_rad)}",
-            Kind.NOT_TURNED,
-            last_rad - angle_rad,
-        )
-    if next_rad is not None:
-        text = f"the head was turned to the next point: it stood at {format_dms(next_rad)}"
-        add(text, Kind.NEXT_POINT, next_rad - angle_rad)
-    reflected = float(reflected_rad(np.asarray(angle_rad)))
-    if pivot_rad is not None:
-        stood = 2 * pivot_rad - angle_rad
-        also = ", or 360° - x was read for x" if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD else ""
-        text = f"the head was turned the wrong way{also}: it stood at {format_dms(stood % (2 * np.pi))}"
-        add(text, Kind.WRONG_WAY, stood - angle_rad)
-    add("the head stood at 360° - x where x was read", Kind.SLIP, reflected)
-    slips = [
-        OtherPose(
-            Supposition(
-                f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}",
-                Kind.SLIP,
-                UNLIKELY[Kind.SLIP],
-            ),
-            label,
-            off,
-        )
-        for name, slip in SLIPS_RAD.items()
-        for off in (slip, -slip)
-        if all(abs(wrapped_rad(one.off_rad - off)) > SAME_RAD for one in found)
-    ]
-    add("the head stood on the opposite side of its circle (180°)", Kind.SLIP, float(np.pi))
-    return [*found, *slips]
-
-
-SHIFTS: Final = 5
-"""Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
-
-AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
-"""Special values of a shift number: the reading is used as recorded, or left out."""
 
 
 @dataclass
@@ -537,61 +341,3 @@ class Sighting:
     def angle_rad(self) -> float:
         """The head angle read back, rad."""
         return float(self.row.angle_rad[0])
-
-
-@dataclass(frozen=True)
-class Suspect:
-    """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
-
-    `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
-    is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
-    resembles this mistake, so that it may stop the run; `free` says that the mistake is a shift of unknown size.
-    """
-
-    text: str
-    kind: Kind
-    cost: float
-    stops: bool = True
-    earlier: int | None = None
-    moved_rad: float | None = None
-    u_rad: float = 0.0
-    free: bool = False
-
-
-@dataclass(frozen=True)
-class Member:
-    """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
-
-    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number of
-    a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
-    """
-
-    supposed: Supposition
-    cabling: Floats = field(default_factory=lambda: np.eye(3))
-    pose: int = 0
-    since: int = 0
-    reading: int | None = None
-    shift: int = AS_IT_IS
-
-    def pose_at(self, i: int) -> int:
-        """Return the index of the pose that applies at reading `i`."""
-        return self.pose if i >= self.since and self.reading in (None, i) else 0
-
-    def shift_at(self, i: int) -> int:
-        """Return `shift` if `i` is `reading`, otherwise `AS_IT_IS`."""
-        return self.shift if self.reading == i else AS_IT_IS
-
-
-@dataclass(frozen=True)
-class ReplayedReadings:
-    """The result of replaying all n readings for each of m members, that is, under each of m supposed mistakes.
-
-    `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
-    likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
-    which readings updated each member's expectation.
-    """
-
-    state: Expectation
-    cost: Floats
-    before: float
-    taken: NDArray[np.bool_]

@@ -18,8 +18,7 @@ from bench.base.files import cache_folder, read_json, read_regular, write_whole
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
-from bench.readings.reading import readings_of
-from bench.readings.table import VERIFICATION, Readings
+from bench.readings.table import VERIFICATION, Readings, readings_of
 from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
 from bench.run.record import History, read_history, trusted
 from drivers.clock import utc_now
@@ -162,7 +161,6 @@ class Run:
         ]
 
     def _unfinished_note(self, taken: int) -> tuple[str, ...]:
-        """Return notes if planned readings are missing; `taken` is the number of valid readings."""
         history = self.trusted_history()
         out = history.progress.left_out
         planned = [i for i, step in enumerate(self.plan.steps) if isinstance(step, Read)]

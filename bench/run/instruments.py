@@ -140,7 +140,6 @@ class TemperatureCheck:
         return shown_c
 
     def _question(self, shown_c: float) -> str:
-        """Return the question about a temperature; empty if the temperature is as expected."""
         if self.last_c is not None:
             expected_c, within_k = self.last_c, UNEXPECTED_K
         elif self.demanded_c is not None:

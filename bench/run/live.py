@@ -17,7 +17,7 @@ import numpy as np
 from bench.base.arrays import ARCSEC, CHANNELS
 from bench.base.languages import message, translated
 from bench.config.procedure.plan import Plan, Read
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.early_warning import EarlyWarning
 from bench.run.events import Event, EventType
 from bench.run.expectation import ExpectedSignals

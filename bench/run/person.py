@@ -368,7 +368,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
     """
     given = text.strip() or prompt.default or ""
     try:
-        _read_by_eye(prompt, given)
+        _read_value(prompt, given)
     except ValueError as trouble:
         return str(trouble).rstrip(".")
     match prompt.kind:
@@ -378,9 +378,7 @@ def problem_with_answer(prompt: Prompt, text: str) -> str:
             return "" if given.lower() in YES | NO else message(f"answer yes or no, not {given!r}")
         case PromptKind.CHOOSE:
             return _problem_with_choice(prompt, given)
-        case PromptKind.NUMBER:
-            return "" if prompt.action.get("do") in _BY_EYE else _problem_with_number(prompt, given)
-        case PromptKind.ANGLE:
+        case PromptKind.NUMBER | PromptKind.ANGLE:
             return ""
 
 
@@ -391,13 +389,13 @@ def understood_answer(prompt: Prompt, text: str) -> str:
     given = text.strip() or prompt.default or ""
     match prompt.kind:
         case PromptKind.ANGLE:
-            value = _read_by_eye(prompt, given)
+            value = _read_value(prompt, given)
             return given if value is None else _spaced(_on_scale(prompt, given))
         case PromptKind.NUMBER:
-            value = _read_by_eye(prompt, given)
+            value = _read_value(prompt, given) or 0.0
             if prompt.action["do"] == "read_level":
-                return f"{given} = {math.degrees(value or 0.0) * 3600.0:+.1f}″"
-            return f"{_number(given, prompt.unit) if value is None else value:g} {prompt.unit}".rstrip()
+                return f"{given} = {math.degrees(value) * 3600.0:+.1f}″"
+            return f"{value:g} {prompt.unit}".rstrip()
         case PromptKind.CONFIRM:
             return "no" if given.lower() in NO else "yes"
         case PromptKind.CHOOSE:
@@ -410,11 +408,8 @@ def _on_scale(prompt: Prompt, given: str) -> float:
     return parse_angle(given) if target_rad is None else typed_angle(given, float(target_rad))
 
 
-_BY_EYE: Final = frozenset({"turn", "read_temperature", "read_level", "read_supply"})
-
-
-def _read_by_eye(prompt: Prompt, given: str) -> float | None:
-    """Return the typed value of a scale or display (rad, °C, V or A); None for other prompts.
+def _read_value(prompt: Prompt, given: str) -> float | None:
+    """Return the typed angle (rad) or number; None for other prompts.
 
     Raises `ValueError` with a sentence on the fault.
     """
@@ -432,6 +427,8 @@ def _read_by_eye(prompt: Prompt, given: str) -> float | None:
             return typed_bubble(given, float(action["division_rad"]), most)
         case "read_supply", PromptKind.NUMBER:
             return typed_supply(given, "A" if prompt.unit == "A" else "V")
+        case _, PromptKind.NUMBER:
+            return _between(prompt, _number(given, prompt.unit))
     return None
 
 
@@ -444,14 +441,6 @@ def _problem_with_choice(prompt: Prompt, given: str) -> str:
             return message(f"give the reason instead of {REASON}") if reason == REASON else ""
     fits = words.lower() in prompt.choices if open_ended else given in prompt.choices
     return "" if fits else message(f"choose one of {', '.join(prompt.choices)}, not {given!r}")
-
-
-def _problem_with_number(prompt: Prompt, given: str) -> str:
-    try:
-        _between(prompt, _number(given, prompt.unit))
-    except ValueError as trouble:
-        return str(trouble)
-    return ""
 
 
 def _number(given: str, unit: str) -> float:

@@ -161,7 +161,11 @@ class UnitPower:
     def switch_off(self, key: str) -> None:
         """Switch the rails off, in reverse order. Raises `BenchError` if the supply does not obey."""
         self.in_charge = True
-        self._switch_rails_off(key)
+        for number, rail in enumerate(reversed(self.section.rails)):
+            if number:
+                self.clock.sleep(self.section.pause)
+            self.supply.switch(rail.output, False, key)
+        self.on, self.off_since_s = False, self.now_s()
         self._record_event("off", {})
 
     def cycle(self, off_s: float, key: str) -> None:
@@ -169,13 +173,6 @@ class UnitPower:
         self.switch_off(key)
         self._stay_off(key, off_s)
         self._switch_on(key)
-
-    def _switch_rails_off(self, key: str) -> None:
-        for number, rail in enumerate(reversed(self.section.rails)):
-            if number:
-                self.clock.sleep(self.section.pause)
-            self.supply.switch(rail.output, False, key)
-        self.on, self.off_since_s = False, self.now_s()
 
     def _stay_off(self, key: str, off_s: float = 0.0) -> None:
         """Wait until the block has been off long enough; if nobody knows since when, count from now."""
@@ -289,7 +286,6 @@ class UnitPower:
         return not any(self._not_on(states, rail) for rail in self.section.rails)
 
     def _wrong(self, states: Mapping[str, OutputState], rail: RailSection) -> Iterator[str]:
-        """Yield a phrase for each fault of a rail."""
         state = self._of(states, rail)
         if not_on := self._not_on(states, rail):
             yield not_on
@@ -308,7 +304,6 @@ class UnitPower:
             yield from (f"was set otherwise: {what}" for what in differences)
 
     def _not_on(self, states: Mapping[str, OutputState], rail: RailSection) -> str:
-        """Return a phrase if the rail is off, else an empty string."""
         state = self._of(states, rail)
         if state.tripped:
             return "was switched off by a protection of the supply, which tripped"

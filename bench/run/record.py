@@ -23,7 +23,7 @@ from bench.base.computing import uncollected
 from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
 from bench.base.text import as_typed, cause_of, in_json
 from bench.config.procedure.plan import Plan, Read, Turn
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import (
     DEFAULT_RULE,
     EVENTS,
@@ -189,7 +189,6 @@ class _Reader:
         return ""
 
     def _note(self, event: Event) -> None:
-        """Add an event to the history."""
         history = self._history
         history.state = state_after_one(history.state, event.type)
         history.progress.take(event)
@@ -366,27 +365,24 @@ class Record:
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
         with self._shield():
-            return self._append(kind, bench_s, data)
-
-    def _append(self, kind: str, bench_s: float, data: dict[str, Any]) -> Event:
-        state = state_after_one(self.state, kind)
-        if self._half_written:
-            self._cut_back()
-        self._check_place()
-        event = Event(self.count + 1, self._now().isoformat(), bench_s, kind, data)
-        whole_event = {**event.to_json(), "prev": self._last_hash}
-        line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
-        try:
-            self._write(line + b"\n")
-            if kind not in WITH_THE_NEXT:
-                os.fsync(self._file.fileno())
-        except OSError as error:
-            self._cut_back()
-            raise _cannot_write(self.folder, error) from error
-        self._last_hash = sha256(line)
-        self._length += len(line) + 1
-        self.count, self.state = event.number, state
-        return event
+            state = state_after_one(self.state, kind)
+            if self._half_written:
+                self._cut_back()
+            self._check_place()
+            event = Event(self.count + 1, self._now().isoformat(), bench_s, kind, data)
+            whole_event = {**event.to_json(), "prev": self._last_hash}
+            line = in_json(json.dumps(whole_event, ensure_ascii=False, allow_nan=False)).encode()
+            try:
+                self._write(line + b"\n")
+                if kind not in WITH_THE_NEXT:
+                    os.fsync(self._file.fileno())
+            except OSError as error:
+                self._cut_back()
+                raise _cannot_write(self.folder, error) from error
+            self._last_hash = sha256(line)
+            self._length += len(line) + 1
+            self.count, self.state = event.number, state
+            return event
 
     def _check_place(self) -> None:
         """Raise `RecordError` if the next line would be lost, or would break the hash chain of another program."""

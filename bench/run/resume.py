@@ -171,10 +171,8 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
     """
     if progress.doubt is not None:
         return True
-    for index in range(step, len(plan.steps)):
-        if not progress.settled(index) and isinstance(plan.steps[index], Mount | Read):
-            return isinstance(plan.steps[index], Read)
-    return False
+    coming = (plan.steps[index] for index in range(step, len(plan.steps)) if not progress.settled(index))
+    return isinstance(next((one for one in coming if isinstance(one, Mount | Read)), None), Read)
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
@@ -191,10 +189,8 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 def end_of_point(plan: Plan, step: int) -> int:
     """Return the index after the last step of the point to which `step` belongs."""
-    for index in range(step + 1, len(plan.steps)):
-        if isinstance(plan.steps[index], Turn | ENDS_A_POINT):
-            return index
-    return len(plan.steps)
+    after = range(step + 1, len(plan.steps))
+    return next((i for i in after if isinstance(plan.steps[i], Turn | ENDS_A_POINT)), len(plan.steps))
 
 
 def first_of_pass(plan: Plan, turn: int) -> int:
@@ -220,8 +216,6 @@ def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
 
 
 def _is_of_pass(plan: Plan, turn: int, index: int) -> bool:
-    """Return whether step `index` is a turn of the same pass as the turn at index `turn`."""
-
     def place(step: Step) -> tuple[int, str, int] | None:
         return (step.series, step.installation, step.pass_number) if isinstance(step, Turn) else None
 
@@ -356,7 +350,6 @@ def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Red
 
 
 def _mounting_before(plan: Plan, index: int) -> tuple[int, Mount] | None:
-    """Return the index of the last mounting step before step `index`, and that step; None if there is none."""
     for i in range(index - 1, -1, -1):
         if isinstance(step := plan.steps[i], Mount):
             return i, step

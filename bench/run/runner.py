@@ -22,7 +22,7 @@ from bench.config.procedure.plan import (
     SetTemperature,
     Turn,
 )
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import HEARD, TRANSITIONS, Event, EventType, RecordError, RunState, Wish, result_to_json
 from bench.run.expectation import EarlySign
 from bench.run.instruments import agree_to_others, how_it_stopped, leave_safe, same_serials
@@ -266,7 +266,6 @@ class Runner:
         return self.bench.clock.now_s() - self._zero_s
 
     def _restore(self, resume: ResumePoint) -> None:
-        """Restore the bench to the state that the steps before the resume point left."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -330,7 +329,6 @@ class Runner:
             raise raised(control)
 
     def _answerer(self) -> WishAuthor:
-        """Return the author of the last answer, or `NOBODY_KNOWN`."""
         return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
 
     def _obey(self, control: RunControl, index: int) -> int:
@@ -387,7 +385,6 @@ class Runner:
         return index
 
     def _asked(self) -> RunControl:
-        """Ask the person how to continue a paused run; return the answer as a wish."""
         try:
             confirm(self.people.asker or self.people.person, pause_prompt(self._now_s()))
         except OperatorWish as wish:

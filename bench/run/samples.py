@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from bench.base.arrays import Floats
-from bench.readings.reading import Outlier
+from bench.readings.table import Outlier
 from bench.run.events import EventType
 from drivers.clock import Clock
 from drivers.interfaces import BenchError, ThermalChamber

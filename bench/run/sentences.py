@@ -11,7 +11,7 @@ from bench.base.languages import message
 from bench.base.numbers import figures, scale_for
 from bench.base.text import visible
 from bench.config.procedure.plan import Plan
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import Answered, Event, EventType, Turned
 
 TERMINAL: Final = "terminal"
@@ -105,7 +105,6 @@ def _by(data: Mapping[str, Any]) -> str:
 
 
 def _power_in_words(data: Mapping[str, Any]) -> str:
-    """Return a sentence on a switching or a fault of the block's supply."""
     rails = ", ".join(
         f"{name} {rail['voltage_v']:.5g} V, {rail['current_a']:.3g} A"
         for name, rail in data.get("rails", {}).items()

@@ -18,7 +18,7 @@ from rich.text import Text
 from bench.base.computing import quiet
 from bench.base.languages import message, translated
 from bench.config.procedure.plan import Plan
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import HEARD, Event, EventType, RunState, Wish
 from bench.run.person import NOBODY_KNOWN, REASON, SIGN, WishAuthor, in_english, parse_wish, raised
 from bench.run.resume import steps_of
@@ -402,7 +402,6 @@ class ProgressBar:
         )
 
     def _show_reading(self, reading: Reading | None) -> None:
-        """Print the reading above the bar, if the output is a terminal."""
         if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
             self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))

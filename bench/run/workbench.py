@@ -28,7 +28,7 @@ from bench.config.procedure.plan import (
 )
 from bench.config.procedure.steps import in_scan_order, read_order
 from bench.readings.columns import Rail, between
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.events import (
     Answered,
     CameToRest,

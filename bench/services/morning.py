@@ -12,7 +12,7 @@ import numpy as np
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model.forward import ForwardModel
-from bench.readings.reading import Reading, readings_of
+from bench.readings.table import Reading, readings_of
 from bench.run.commission.morning import MorningCourse
 from bench.run.expectation import COEFFICIENT_COUNT, STATE, Expectation, NoiseSizes, ReadingJudgement, poses
 from bench.services.bench_selection import bench_path

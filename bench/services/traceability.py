@@ -84,7 +84,19 @@ class Traced:
 
     def parts(self) -> list[CorrectionPart]:
         """Return the part of a result for each certificate."""
-        return [CorrectionPart(**standing.to_json(why_not=why_not)) for standing, why_not in self.entries]
+        return [
+            CorrectionPart.from_object(
+                standing,
+                known := standing.certificate,
+                certificate=known.number,
+                date=str(known.date),
+                valid_until=None if known.valid_until is None else str(known.valid_until),
+                serial_answered=standing.answered,
+                applied=not why_not,
+                why_not=why_not,
+            )
+            for standing, why_not in self.entries
+        ]
 
     def stated(self) -> dict[str, str]:
         """Return a description of each certificate for the page, by instrument."""

@@ -39,6 +39,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "measured.md": measured.page,
     "_rooms.md": rooms.fragment,
     "_errors.md": errors.fragment,
+    "_parts.md": effects.parts,
     "_constants.md": constants.fragment,
     "_blind-trial.md": blind_trial_shown,
 }

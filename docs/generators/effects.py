@@ -18,6 +18,11 @@ ENTRY_TITLES: Final = {
     "OpenShape": "Free part of a shape",
 }
 
+PARTS: Final = (
+    "foundation", "building", "head", "shaft", "chamber", "supply", "voltmeters", "platform", "bracket", "block",
+)  # fmt: skip
+"""The parts of the bench that an effect names in `shows_on`, in the order of the page `stand.md`."""
+
 _INTRODUCTION: Final = """\
 # Effects
 
@@ -68,6 +73,15 @@ def page() -> str:
         parts.append(f"## Stage: {stage.value}")
         parts += [_section(effect) for effect in held]
     return "\n\n".join(parts)
+
+
+def parts() -> str:
+    """Return the table of the effects that show on each part of the bench."""
+    named: dict[str, list[str]] = {part: [] for part in PARTS}
+    for effect in CATALOGUE.values():
+        for part in effect.shows_on:
+            named[part].append(code(effect.name))
+    return table(("part", "effects"), [(part, ", ".join(names)) for part, names in named.items()])
 
 
 def _section(effect: Effect) -> str:

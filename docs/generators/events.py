@@ -8,7 +8,7 @@ from pydantic import ConfigDict, Field
 
 from bench.base.result_model import ResultModel
 from bench.readings.columns import Rail
-from bench.readings.reading import Outlier
+from bench.readings.table import Outlier
 
 Three = Field(min_length=3, max_length=3)
 

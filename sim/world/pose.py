@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects.base import Stage
-from bench.model.forward import ForwardModel
+from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import INSTALLATION_1, Block
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
     stand_rad = np.stack([poses[row].stand_rad for row in first])
     setting_rad = np.array([pose.setting_error_rad for pose in poses])
     voltage_v = np.array([[np.nan if pose.input_v is None else pose.input_v] * 3 for pose in poses])
-    return model.readings_in_order(block, conditions, stand_rad, setting_rad, voltage_v=voltage_v)
+    return Stages(model, block, conditions, stand_rad, setting_rad, voltage_v=voltage_v).readings
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:

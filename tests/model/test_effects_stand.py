@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.model import CATALOGUE, Conditions, ForwardModel
+from bench.model.forward import Stages
 from bench.validation.paper_bench import ARCSEC, U0, K
 from tests.support.effect_bench import (
     ALPHA4,
@@ -167,13 +168,14 @@ def test_rows_of_all_kinds_in_the_order_of_measurement():
     conditions = Conditions.of(["1", "S", "F", "1"], [0.5, np.nan, np.nan, 0.8])
     free = np.array([0.6, 0.0, 0.8])
     nothing = np.full(3, np.nan)
-    got = model.readings_in_order(
+    got = Stages(
+        model,
         BLOCK,
         conditions,
         np.zeros((3, 5)),
         force=np.stack([nothing, nothing, free, nothing]),
         voltage_v=np.stack([nothing, np.zeros(3), nothing, nothing]),
-    )
+    ).readings
     settings = plain.readings(BLOCK, Conditions.of(["1"] * 2, [0.5, 0.8]), np.zeros((1, 5)))
     u = np.stack([settings[0], np.zeros(3), K @ free + U0, settings[1]])
     scanned = np.concatenate([[u[0, 0]], u.ravel()])
@@ -184,10 +186,8 @@ def test_an_unknown_installation_is_refused_or_has_no_reading():
     model, conditions = ForwardModel(INSTALLATIONS), Conditions.of(["1", "7"], [0.0, 0.0])
     with pytest.raises(KeyError, match="7"):
         model.readings(BLOCK, conditions, np.zeros((2, 5)))
-    assert np.isnan(model.readings_in_order(BLOCK, conditions, np.zeros((2, 5)))).all(axis=1).tolist() == [
-        False,
-        True,
-    ]
+    readings = Stages(model, BLOCK, conditions, np.zeros((2, 5))).readings
+    assert np.isnan(readings).all(axis=1).tolist() == [False, True]
 
 
 @pytest.mark.parametrize("wave", [one for one in CATALOGUE.values() if getattr(one, "order", None)])

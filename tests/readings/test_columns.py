@@ -23,8 +23,7 @@ from bench.readings.columns import (
 )
 from bench.readings.corrected import FOUNDATION_ARCSEC_H, LevelReading, with_levels
 from bench.readings.csv import ReadingsError, format_csv, read_csv, write_csv
-from bench.readings.reading import Reading, readings_of
-from bench.readings.table import make_readings
+from bench.readings.table import Reading, make_readings, readings_of
 
 HEADER = "installation,pass,point,angle_deg,ux_v,uy_v,uz_v"
 

@@ -20,8 +20,7 @@ from bench.readings.corrected import (
     corrected,
     reflected_rad,
 )
-from bench.readings.reading import Outlier, Reading, readings_of
-from bench.readings.table import JoinedPart, make_readings, together
+from bench.readings.table import JoinedPart, Outlier, Reading, make_readings, readings_of, together
 from bench.validation.paper_bench import STAND_U, simulate
 from drivers.angles import classic_slip
 

@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.early_warning import EarlyWarning
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 from tests.support.diagnosis_bench import MODEL, PSI

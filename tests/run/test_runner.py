@@ -6,7 +6,7 @@ from functools import reduce
 import pytest
 
 from bench.config.procedure.plan import OnFailure, Plan, SetTemperature
-from bench.readings.reading import Reading, readings_of
+from bench.readings.table import Reading, readings_of
 from bench.run.events import ENDED, HEARD, TRANSITIONS, RecordError, RunState, state_after_one
 from bench.run.instruments import Instruments
 from bench.run.person import UNTOUCHED

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -71,7 +70,6 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
-    """Yield a mistake for each voltmeter whose range differs from that of the first voltmeter."""
     ranges = [_value(part(meter, "range") or "10 V", VOLTAGE) for meter in _items(voltmeters)]
     for index, range_v in enumerate(ranges):
         if range_v is not None and ranges[0] is not None and range_v != ranges[0]:
@@ -233,7 +231,6 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _instruments(data: Any) -> InstrumentsSection | None:
-    """Return the validated section `instruments`; None if it is invalid."""
     try:
         return InstrumentsSection.model_validate(part(data, "instruments"))
     except ValidationError:
@@ -247,12 +244,10 @@ def _items(written: Any) -> list[Any]:
 _UNIT: Final[Place] = ("unit_under_test", "supply")
 _INSTRUMENT: Final[Place] = ("instruments", "power_supply")
 
-_V: Final[tuple[Place, ...]] = (
-    ("voltage",), ("tolerance",), ("limits", "minimum"), ("limits", "maximum"), ("over_voltage",),
-)  # fmt: skip
-_A: Final[tuple[Place, ...]] = (
-    ("current", "minimum"), ("current", "maximum"), ("limits", "current"), ("current_limit",),
-)  # fmt: skip
+_Rail = dict[str, float | None]
+"""Numbers of a rail's section, V and A, by key."""
+_V: Final = ("voltage", "tolerance", "limits.minimum", "limits.maximum", "over_voltage")
+_A: Final = ("current.minimum", "current.maximum", "limits.current", "current_limit")
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
@@ -279,7 +274,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
             if (key, value) in seen:
                 yield (*place, key), f"rail {seen[key, value] + 1} {what} '{value}' already"
             seen.setdefault((key, value), index)
-        rail = _Rail.of(written)
+        rail = _numbers(written)
         supply = _against_supply(rail, part(written, "output"), limits)
         for inside, text in (*_against_block(rail), *supply):
             yield (*place, *inside), text
@@ -288,42 +283,32 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         yield (*_UNIT, "pause"), "this supply switches all outputs together; remove 'pause'"
 
 
-@dataclass(frozen=True)
-class _Rail:
-    """The numbers (V, A) of a rail's section by key; None for an unreadable number, which pydantic reports."""
+def _numbers(written: Any) -> _Rail:
+    """Return the numbers of a rail's section by key; None for an unreadable number, which pydantic reports."""
+    kinds = dict.fromkeys(_V, VOLTAGE) | dict.fromkeys(_A, CURRENT)
+    return {key: _value(part(written, *key.split(".")), kind) for key, kind in kinds.items()}
 
-    numbers: dict[Place, float | None]
 
-    @classmethod
-    def of(cls, written: Any) -> _Rail:
-        found = {key: _value(part(written, *key), VOLTAGE) for key in _V}
-        return cls(found | {key: _value(part(written, *key), CURRENT) for key in _A})
-
-    def get(self, *keys: str) -> float | None:
-        return self.numbers[keys]
-
-    def all(self, *keys: Place) -> tuple[float, ...] | None:
-        """Return the numbers at several keys; None if any of them is missing."""
-        found = [self.numbers[key] for key in keys]
-        known = tuple(number for number in found if number is not None)
-        return known if len(known) == len(found) else None
+def _span(rail: _Rail, key: str) -> tuple[float, float] | None:
+    least, most = rail[f"{key}.minimum"], rail[f"{key}.maximum"]
+    return None if least is None or most is None else (least, most)
 
 
 def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     """Check that a rail's settings and protections stay within the limits of the block."""
     yield from _voltages_against_block(rail)
-    if (window := rail.all(("current", "minimum"), ("current", "maximum"))) and window[0] >= window[1]:
+    if (window := _span(rail, "current")) and window[0] >= window[1]:
         yield (
             ("current",),
             f"the least current of {window[0]:g} A is not below the largest of {window[1]:g} A",
         )
-    most_a, limit_a = rail.get("limits", "current"), rail.get("current_limit")
+    most_a, limit_a = rail["limits.current"], rail["current_limit"]
     if limit_a is not None and most_a is not None and limit_a > most_a:
         yield (
             ("current_limit",),
             f"the current limit of {limit_a:g} A exceeds the {most_a:g} A that the block may draw; lower it",
         )
-    largest_a = rail.get("current", "maximum")
+    largest_a = rail["current.maximum"]
     if largest_a is not None and limit_a is not None and largest_a >= limit_a:
         yield (
             ("current_limit",),
@@ -332,13 +317,13 @@ def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 
 
 def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
-    voltage_v, tolerance_v = rail.get("voltage"), rail.get("tolerance")
+    voltage_v, tolerance_v = rail["voltage"], rail["tolerance"]
     if voltage_v == 0.0:
         yield ("voltage",), "a rail needs a voltage above 0; remove rails that do not feed the block"
         return
     if tolerance_v == 0.0:
         yield ("tolerance",), "state a tolerance above 0 V: no supply keeps a voltage exactly"
-    span = rail.all(("limits", "minimum"), ("limits", "maximum"))
+    span = _span(rail, "limits")
     if span and span[0] >= span[1]:
         yield ("limits",), f"the minimum of {span[0]:g} V is not below the maximum of {span[1]:g} V"
         return
@@ -353,7 +338,7 @@ def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
             f"within its tolerance the rail has {worst_v[0]:g} to {worst_v[1]:g} V, but the block tolerates "
             f"{span[0]:g} to {span[1]:g} V only",
         )
-    protection_v = rail.get("over_voltage")
+    protection_v = rail["over_voltage"]
     if protection_v is None:
         return
     if protection_v * voltage_v <= 0.0 or abs(protection_v) <= max(map(abs, worst_v)):
@@ -378,10 +363,10 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
     if output not in limits.outputs:
         yield ("output",), unknown_word(output, list(limits.outputs), "output of this supply")
         return
-    voltage_v, limit_a = rail.get("voltage"), rail.get("current_limit")
+    voltage_v, limit_a = rail["voltage"], rail["current_limit"]
     if voltage_v is None or limit_a is None:
         return
-    protection_v = rail.get("over_voltage")
+    protection_v = rail["over_voltage"]
     if protection_v is not None and abs(protection_v) <= abs(voltage_v):
         protection_v = None  # reported at 'over_voltage' already: it would trip at once
     settings = OutputSettings(voltage_v, limit_a, protection_v)
@@ -390,7 +375,6 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
 
 
 def _limits_of_supply(written: Any) -> SupplyLimits | None:
-    """Return the limits of the supply's outputs; None if they are unknown or the section is invalid."""
     device = devices().get(part(written, "driver"))
     if device is None or not issubclass(device.section, SupplyForm):
         return None
@@ -401,7 +385,6 @@ def _limits_of_supply(written: Any) -> SupplyLimits | None:
 
 
 def _value(written: Any, kind: QuantityKind) -> float | None:
-    """Return the value of a written quantity in its SI unit; None if it is missing or unreadable."""
     try:
         return parse_quantity(written, kind)
     except ValueError:

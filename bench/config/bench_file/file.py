@@ -316,24 +316,6 @@ class Standing:
             if self.section.certificate is not None and self.section.certificate.of_range(range_v) is None:
                 yield f"{which}, does not cover the {range_v:g} V range: the data sheet's limits apply there"
 
-    def to_json(self, *, why_not: str) -> dict[str, Any]:
-        """Return the certificate as a member of a result; `why_not` is the reason not to apply it, or ""."""
-        certificate = self.certificate
-        until = certificate.valid_until
-        return {
-            "instrument": self.instrument,
-            "certificate": certificate.number,
-            "laboratory": certificate.laboratory,
-            "date": str(certificate.date),
-            "valid_until": None if until is None else str(until),
-            "expired": self.expired,
-            "serial": certificate.serial,
-            "serial_answered": self.answered,
-            "correction": self.correction,
-            "applied": not why_not,
-            "why_not": why_not,
-        }
-
 
 def standings(
     bench: BenchFile, day: datetime.date, answered: Mapping[str, str] | None = None

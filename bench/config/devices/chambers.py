@@ -46,17 +46,6 @@ class EspecSection(ControlledChamberForm):
         return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
 
 
-_ESPEC = Device(
-    "espec",
-    EspecSection,
-    driver="drivers.instruments.espec:EspecChamber",
-    simulation="sim.chambers:EspecP300",
-    example={"resource": "TCPIP0::192.0.2.50::10001::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
-    simulated=(*OF_THE_AIR, "sensor_noise"),
-    place=1,
-)
-
-
 class ThermotronSection(ControlledChamberForm):
     """A chamber with a Thermotron controller that works in °C; `identity` is the pattern of its name."""
 
@@ -74,17 +63,6 @@ class ThermotronSection(ControlledChamberForm):
         return super().simulation_options(truth) | named
 
 
-_THERMOTRON = Device(
-    "thermotron",
-    ThermotronSection,
-    driver="drivers.instruments.thermotron:ThermotronChamber",
-    simulation="sim.chambers:Thermotron8800",
-    example={"resource": "TCPIP0::192.0.2.52::8888::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
-    simulated=OF_THE_AIR,
-    place=3,
-)
-
-
 class WatlowF4TSection(ControlledChamberForm):
     """A chamber with a Watlow F4T controller.
 
@@ -93,7 +71,7 @@ class WatlowF4TSection(ControlledChamberForm):
     """
 
     facts: ClassVar = f4t
-    for_driver: ClassVar = ("loop", "output", "identity")
+    for_driver: ClassVar = ("loop", "output", "identity", ("safe_c", "safe"))
 
     driver: Literal["watlow-f4t"]
     resource: Annotated[str, resource_on("TCPIP", example="'TCPIP0::192.0.2.51::5025::SOCKET'")]
@@ -108,29 +86,9 @@ class WatlowF4TSection(ControlledChamberForm):
             self.refuse_outside(self.safe, "the safe setting")
         return self
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the options of the driver: keys of the section, and the safe temperature, °C."""
-        return super().driver_options() | {"safe_c": self.safe}
-
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
         """Return the simulation's options: temperature limits, °C, loop and output."""
         return super().simulation_options(truth) | {"loop": self.loop, "output": self.output or 1}
-
-
-_WATLOW_F4T = Device(
-    "watlow-f4t",
-    WatlowF4TSection,
-    driver="drivers.instruments.watlow_f4t:WatlowF4TChamber",
-    simulation="sim.chambers:WatlowF4T",
-    example={
-        "resource": "TCPIP0::192.0.2.51::5025::SOCKET",
-        "minimum": "-40 degC",
-        "maximum": "85 degC",
-        "output": "1",
-    },
-    simulated=OF_THE_AIR,
-    place=2,
-)
 
 
 class AimTtiSection(WiredSupplyForm):
@@ -148,17 +106,6 @@ class AimTtiSection(WiredSupplyForm):
     serial: PortSection = PortSection.of(aim)
 
 
-_AIM_TTI = Device(
-    "aim-tti",
-    AimTtiSection,
-    driver="drivers.instruments.aim_tti:AimTti",
-    simulation="sim.aim_tti:AimTti",
-    example={"model": "CPX400DP", "resource": "TCPIP0::192.0.2.71::9221::SOCKET"},
-    simulated=OF_THE_UNIT,
-    place=3,
-)
-
-
 class KeysightE36300Section(WiredSupplyForm):
     """A Keysight E36311A to E36313A: outputs 1, 2, 3, each with a switch and over-voltage protection."""
 
@@ -168,17 +115,6 @@ class KeysightE36300Section(WiredSupplyForm):
 
     driver: Literal["keysight-e36300"]
     model: Literal["E36311A", "E36312A", "E36313A"]
-
-
-_KEYSIGHT_E36300 = Device(
-    "keysight-e36300",
-    KeysightE36300Section,
-    driver="drivers.instruments.keysight_e36300:KeysightE36300",
-    simulation="sim.keysight_e36300:KeysightE36300",
-    example={"model": "E36312A", "resource": "TCPIP0::192.0.2.70::5025::SOCKET"},
-    simulated=OF_THE_UNIT,
-    place=2,
-)
 
 
 class KeysightE3631ASection(WiredSupplyForm):
@@ -197,14 +133,68 @@ class KeysightE3631ASection(WiredSupplyForm):
     serial: SerialSection = SerialSection()
 
 
-_KEYSIGHT_E3631A = Device(
-    "keysight-e3631a",
-    KeysightE3631ASection,
-    driver="drivers.instruments.keysight_e3631a:KeysightE3631A",
-    simulation="sim.keysight_e3631a:KeysightE3631A",
-    example={"resource": "GPIB0::5::INSTR", "interface": "gpib"},
-    simulated=OF_THE_UNIT,
-    place=1,
+DEVICE = (
+    Device(
+        "espec",
+        EspecSection,
+        driver="drivers.instruments.espec:EspecChamber",
+        simulation="sim.chambers:EspecP300",
+        example={
+            "resource": "TCPIP0::192.0.2.50::10001::SOCKET",
+            "minimum": "-40 degC",
+            "maximum": "85 degC",
+        },
+        simulated=(*OF_THE_AIR, "sensor_noise"),
+        place=1,
+    ),
+    Device(
+        "thermotron",
+        ThermotronSection,
+        driver="drivers.instruments.thermotron:ThermotronChamber",
+        simulation="sim.chambers:Thermotron8800",
+        example={"resource": "TCPIP0::192.0.2.52::8888::SOCKET", "minimum": "-40 degC", "maximum": "85 degC"},
+        simulated=OF_THE_AIR,
+        place=3,
+    ),
+    Device(
+        "watlow-f4t",
+        WatlowF4TSection,
+        driver="drivers.instruments.watlow_f4t:WatlowF4TChamber",
+        simulation="sim.chambers:WatlowF4T",
+        example={
+            "resource": "TCPIP0::192.0.2.51::5025::SOCKET",
+            "minimum": "-40 degC",
+            "maximum": "85 degC",
+            "output": "1",
+        },
+        simulated=OF_THE_AIR,
+        place=2,
+    ),
+    Device(
+        "aim-tti",
+        AimTtiSection,
+        driver="drivers.instruments.aim_tti:AimTti",
+        simulation="sim.aim_tti:AimTti",
+        example={"model": "CPX400DP", "resource": "TCPIP0::192.0.2.71::9221::SOCKET"},
+        simulated=OF_THE_UNIT,
+        place=3,
+    ),
+    Device(
+        "keysight-e36300",
+        KeysightE36300Section,
+        driver="drivers.instruments.keysight_e36300:KeysightE36300",
+        simulation="sim.keysight_e36300:KeysightE36300",
+        example={"model": "E36312A", "resource": "TCPIP0::192.0.2.70::5025::SOCKET"},
+        simulated=OF_THE_UNIT,
+        place=2,
+    ),
+    Device(
+        "keysight-e3631a",
+        KeysightE3631ASection,
+        driver="drivers.instruments.keysight_e3631a:KeysightE3631A",
+        simulation="sim.keysight_e3631a:KeysightE3631A",
+        example={"resource": "GPIB0::5::INSTR", "interface": "gpib"},
+        simulated=OF_THE_UNIT,
+        place=1,
+    ),
 )
-
-DEVICE = (_ESPEC, _THERMOTRON, _WATLOW_F4T, _AIM_TTI, _KEYSIGHT_E36300, _KEYSIGHT_E3631A)

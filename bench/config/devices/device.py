@@ -42,6 +42,8 @@ from bench.base.yaml_files import FileModel
 from drivers.facts import text_line
 
 Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_supply"]
+Options = tuple[str | tuple[str, str], ...]
+"""Names of keyword arguments; an argument whose name differs from that of its key is a pair (argument, key)."""
 
 
 class DeviceSection(FileModel):
@@ -55,9 +57,9 @@ class DeviceSection(FileModel):
     """Whether a person operates the instrument; such an instrument has no wire and no simulation."""
     sections_of: ClassVar[Callable[[Role], Sequence[type[FileModel]]]] = staticmethod(lambda role: ())
     """Return the section classes of all instruments of a role; set by the registry, which knows them."""
-    for_driver: ClassVar[tuple[str, ...]] = ()
-    for_simulation: ClassVar[tuple[str, ...]] = ()
-    """Keys whose values are keyword arguments of driver and simulation under the same names."""
+    for_driver: ClassVar[Options] = ()
+    for_simulation: ClassVar[Options] = ()
+    """Keys whose values are keyword arguments of driver and simulation."""
 
     driver: str
 
@@ -68,14 +70,18 @@ class DeviceSection(FileModel):
 
     def driver_options(self) -> dict[str, Any]:
         """Return the driver's own keyword arguments, in addition to those of every driver of its role."""
-        return {key: getattr(self, key) for key in self.for_driver}
+        return self._options(self.for_driver)
 
     def simulation_options(self, truth: Any) -> dict[str, Any]:
         """Return the keyword arguments of the simulated instrument.
 
         `truth` is the section on this role under `simulation` in the bench file.
         """
-        return {key: getattr(self, key) for key in self.for_simulation}
+        return self._options(self.for_simulation)
+
+    def _options(self, options: Options) -> dict[str, Any]:
+        named = [(one, one) if isinstance(one, str) else one for one in options]
+        return {argument: getattr(self, key) for argument, key in named}
 
 
 @dataclass(frozen=True)
@@ -487,7 +493,7 @@ class LineForm(WiredForm):
     """
 
     group: ClassVar[str]
-    for_driver: ClassVar = ("model", "request", "pattern", "errors")
+    for_driver: ClassVar[Options] = ("model", "request", "pattern", "errors")
 
     model: Printable
     request: Printable

@@ -42,6 +42,7 @@ class AcutrolSection(MotorisedHeadForm):
 
     facts: ClassVar = acutrol
     scale_on_axis: ClassVar[bool] = True
+    for_driver: ClassVar = ("axis", ("still_rad_s", "still_rate"))
     for_simulation: ClassVar = ("axis",)
 
     driver: Literal["acutrol"]
@@ -60,22 +61,9 @@ class AcutrolSection(MotorisedHeadForm):
             )
         return tolerance_rad
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the axis, and the rate (rad/s) below which the axis counts as stationary."""
-        return {"axis": self.axis, "still_rad_s": self.still_rate}
-
 
 _TURN: Final = {"minimum": "-5 deg", "maximum": "365 deg", "tolerance": "5 arcsec", "speed": "10 deg/s"}
 """Keys of the examples of motorised heads."""
-
-_ACUTROL = Device(
-    "acutrol",
-    AcutrolSection,
-    driver="drivers.instruments.acutrol:AcutrolHead",
-    simulation="sim.acutrol:AcutrolTable",
-    example={"resource": "TCPIP0::192.0.2.40::9888::SOCKET", **_TURN},
-    place=2,
-)
 
 
 _BEYOND_DEG: Final = 5.0
@@ -121,16 +109,6 @@ class NewportSection(MotorisedHeadForm):
             "homed": truth.homed,
             **named,
         }
-
-
-_NEWPORT_ESP301 = Device(
-    "newport-esp301",
-    NewportSection,
-    driver="drivers.instruments.newport_esp301:NewportHead",
-    simulation="sim.newport_esp301:Esp301",
-    example={"resource": "ASRL/dev/ttyUSB0::INSTR", **_TURN},
-    simulated=("homed",),
-)
 
 
 class ZaberSection(MotorisedHeadForm):
@@ -185,20 +163,6 @@ class ZaberSection(MotorisedHeadForm):
         }
 
 
-_ZABER = Device(
-    "zaber",
-    ZaberSection,
-    driver="drivers.instruments.zaber:ZaberHead",
-    simulation="sim.zaber:ZaberStage",
-    example={
-        "resource": "TCPIP0::192.0.2.30::55550::SOCKET",
-        "steps_per_degree": "4266.6667",
-        **_TURN,
-    },
-    simulated=("homed", "encoder"),
-    place=1,
-)
-
 Axis = Literal["+X", "-X", "+Y", "-Y"]
 
 
@@ -228,17 +192,6 @@ class LeicaNivelSection(LevelForm, WiredForm):
         if self.along[1] == self.across[1]:
             raise ValueError(f"along and across are both axis {self.along[1]}; change one of them")
         return self
-
-
-_LEICA_NIVEL = Device(
-    "leica-nivel",
-    LeicaNivelSection,
-    driver="drivers.instruments.leica_nivel:LeicaNivel",
-    simulation="sim.leica_nivel:LeicaNivel",
-    example={"resource": "ASRL/dev/ttyUSB1::INSTR"},
-    simulated=("zero_along", "zero_across", "noise", "scale"),
-    place=1,
-)
 
 
 Wire = Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.60::4001")]
@@ -281,6 +234,7 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
 
     facts: ClassVar = text_line
     group: ClassVar = text_line.ANGLE
+    for_driver: ClassVar = (*LineForm.for_driver, "per_turn")
 
     driver: Literal["encoder-line"]
     resource: Wire
@@ -301,10 +255,6 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
         """The number of units in a turn."""
         return self.counts_per_turn or text_line.PER_TURN[self.unit]
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the options common to instruments with a line of text, and `per_turn`."""
-        return super().driver_options() | {"per_turn": self.per_turn}
-
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
         """Return the options common to all simulated counters, and the request and form of the reply."""
         return super().simulation_options(truth) | self.line_options() | {"per_turn": self.per_turn}
@@ -312,11 +262,46 @@ class EncoderLineSection(ReadOutHeadForm, LineForm):
 
 _OWN: Final = {"tolerance": "30 arcsec"}
 
+
 DEVICE = (
-    _ACUTROL,
-    _NEWPORT_ESP301,
-    _ZABER,
-    _LEICA_NIVEL,
+    Device(
+        "acutrol",
+        AcutrolSection,
+        driver="drivers.instruments.acutrol:AcutrolHead",
+        simulation="sim.acutrol:AcutrolTable",
+        example={"resource": "TCPIP0::192.0.2.40::9888::SOCKET", **_TURN},
+        place=2,
+    ),
+    Device(
+        "newport-esp301",
+        NewportSection,
+        driver="drivers.instruments.newport_esp301:NewportHead",
+        simulation="sim.newport_esp301:Esp301",
+        example={"resource": "ASRL/dev/ttyUSB0::INSTR", **_TURN},
+        simulated=("homed",),
+    ),
+    Device(
+        "zaber",
+        ZaberSection,
+        driver="drivers.instruments.zaber:ZaberHead",
+        simulation="sim.zaber:ZaberStage",
+        example={
+            "resource": "TCPIP0::192.0.2.30::55550::SOCKET",
+            "steps_per_degree": "4266.6667",
+            **_TURN,
+        },
+        simulated=("homed", "encoder"),
+        place=1,
+    ),
+    Device(
+        "leica-nivel",
+        LeicaNivelSection,
+        driver="drivers.instruments.leica_nivel:LeicaNivel",
+        simulation="sim.leica_nivel:LeicaNivel",
+        example={"resource": "ASRL/dev/ttyUSB1::INSTR"},
+        simulated=("zero_along", "zero_across", "noise", "scale"),
+        place=1,
+    ),
     Device(
         "heidenhain-nd28x",
         HeidenhainNd28xSection,

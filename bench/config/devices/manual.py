@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -31,6 +31,7 @@ class ManualHeadSection(HeadForm):
     """
 
     by_hand: ClassVar = True
+    for_driver: ClassVar = (("tolerance_rad", "tolerance"), "enter_accepts_target")
 
     driver: Literal["manual-head"]
     scale_division: SizeRad
@@ -42,15 +43,12 @@ class ManualHeadSection(HeadForm):
             raise ValueError("the tolerance is below half a division of the scale; widen it")
         return self
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the tolerance of a reading, rad, and whether Enter accepts the target."""
-        return {"tolerance_rad": self.tolerance, "enter_accepts_target": self.enter_accepts_target}
-
 
 class ManualChamberSection(ChamberForm):
     """A chamber that a person sets and reads; after a run it is set to `safe` or, without `safe`, switched off."""
 
     by_hand: ClassVar = True
+    for_driver: ClassVar = (("minimum_c", "minimum"), ("maximum_c", "maximum"), ("safe_c", "safe"))
 
     driver: Literal["manual-chamber"]
     safe: TemperatureC | None = None
@@ -60,10 +58,6 @@ class ManualChamberSection(ChamberForm):
         if self.safe is not None:
             self.refuse_outside(self.safe, "the safe setting")
         return self
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the temperature limits and the safe setting, °C."""
-        return {"minimum_c": self.minimum, "maximum_c": self.maximum, "safe_c": self.safe}
 
 
 class ManualLevelSection(LevelForm):
@@ -76,6 +70,10 @@ class ManualLevelSection(LevelForm):
     """
 
     by_hand: ClassVar = True
+    for_driver: ClassVar = (
+        ("division_rad", "division"), ("reading_divisions", "reading"), ("most_divisions", "divisions"), "scale",
+        ("turn_rad", "turn"),
+    )  # fmt: skip
 
     driver: Literal["manual-level"]
     division: Annotated[SizeRad, above_zero("state the value of one division, such as '5 arcsec'")]
@@ -84,21 +82,12 @@ class ManualLevelSection(LevelForm):
     scale: Annotated[Ratio, Field(ge=0.0, lt=1.0)] = 0.05
     turn: SizeRad = math.radians(1.0)
 
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the size and number of divisions, and the standard uncertainties."""
-        return {
-            "division_rad": self.division,
-            "reading_divisions": self.reading,
-            "most_divisions": self.divisions,
-            "scale": self.scale,
-            "turn_rad": self.turn,
-        }
-
 
 class ManualThermometerSection(TemperatureRange, ThermometerForm):
     """A thermometer on the block, read by a person at each mounting; `tolerance` is its error limit."""
 
     by_hand: ClassVar = True
+    for_driver: ClassVar = (("minimum_c", "minimum"), ("maximum_c", "maximum"), "sensor")
 
     driver: Literal["manual-thermometer"]
     tolerance: SizeK = 0.5
@@ -108,10 +97,6 @@ class ManualThermometerSection(TemperatureRange, ThermometerForm):
     def tolerance_k(self) -> float:
         """The stated tolerance, K."""
         return self.tolerance
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the temperature range, °C, and the sensor's description for the record."""
-        return {"minimum_c": self.minimum, "maximum_c": self.maximum, "sensor": self.sensor}
 
 
 class ManualOutput(FileModel):
@@ -157,6 +142,7 @@ class ManualSupplySection(SupplyForm):
     """
 
     by_hand: ClassVar = True
+    for_driver: ClassVar = ("limits", ("tolerance_v", "tolerance"))
 
     driver: Literal["manual-supply"]
     outputs: Annotated[dict[str, ManualOutput], Field(min_length=1)]
@@ -166,10 +152,6 @@ class ManualSupplySection(SupplyForm):
     def limits(self) -> SupplyLimits:
         """The settings that the outputs support."""
         return SupplyLimits({name: output.limits() for name, output in self.outputs.items()})
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's options: the limits of the outputs, and the voltage tolerance, V."""
-        return {"limits": self.limits, "tolerance_v": self.tolerance}
 
 
 DEVICE = (

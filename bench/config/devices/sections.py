@@ -210,7 +210,8 @@ class VoltmeterForm(WiredForm):
         accuracy: str | dict[float, tuple[float, float]] | None = truth.accuracy
         if truth.accuracy == CERTIFICATE:
             accuracy = {} if self.certificate is None else self.certificate.errors()
-        return {"interface": self.interface, "noise": truth.noise, "accuracy": accuracy}
+        own = {"interface": self.interface, "noise": truth.noise, "accuracy": accuracy}
+        return super().simulation_options(truth) | own
 
 
 class OneChannelForm(VoltmeterForm):

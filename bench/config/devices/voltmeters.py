@@ -72,16 +72,6 @@ _OF_THE_INPUT: Final = (
 )
 
 
-_AGILENT_34401A = Device(
-    "agilent-34401a",
-    Agilent34401ASection,
-    driver="drivers.instruments.agilent_34401a:Agilent34401A",
-    simulation="sim.agilent_34401a:Agilent34401A",
-    example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
-    simulated=(*_OF_THE_INPUT, "firmware", "errors_at_start", "real_port"),
-)
-
-
 class Keysight34461ASection(OneChannelForm):
     """A Keysight 34460A, 34461A, 34465A or 34470A; `interface` "lan" also covers USB."""
 
@@ -95,16 +85,6 @@ class Keysight34461ASection(OneChannelForm):
         return super().simulation_options(truth) | _flaws(truth)
 
 
-_KEYSIGHT_34461A = Device(
-    "keysight-34461a",
-    Keysight34461ASection,
-    driver="drivers.instruments.keysight_34461a:Keysight34461A",
-    simulation="sim.keysight_34461a:Keysight34461A",
-    example={"channels": ["x"], "resource": "TCPIP0::192.0.2.22::5025::SOCKET"},
-    simulated=_OF_THE_INPUT,
-)
-
-
 class Keithley2000Port(PortSection):
     """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is its TX TERM."""
 
@@ -116,6 +96,7 @@ class Keithley2000Section(OneChannelForm):
     """A Keithley 2000, over GPIB or RS-232."""
 
     facts: ClassVar = keithley
+    for_simulation: ClassVar = ("line_end",)
 
     driver: Literal["keithley-2000"]
     interface: Literal["gpib", "rs232"] = "gpib"
@@ -137,20 +118,6 @@ class Keithley2000Section(OneChannelForm):
         """Return the setup of the wire; on RS-232 with the line termination of the section."""
         return Port(self.line_end, self.line_end, super().port().serial)
 
-    def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
-        """Return the options common to all simulated voltmeters, and the line termination."""
-        return {**super().simulation_options(truth), "line_end": self.line_end}
-
-
-_KEITHLEY_2000 = Device(
-    "keithley-2000",
-    Keithley2000Section,
-    driver="drivers.instruments.keithley_2000:Keithley2000",
-    simulation="sim.keithley_2000:Keithley2000",
-    example={"channels": ["x"], "resource": "GPIB0::16::INSTR"},
-    simulated=("noise", "accuracy"),
-)
-
 
 def _on_a_card(number: int) -> int:
     if number // 100 not in multiplexer.SLOTS or number % 100 not in multiplexer.CARD_CHANNELS:
@@ -164,6 +131,7 @@ class Keysight34970ASection(SerialPortForm):
     """A 34970A or 34972A with 34901A cards; `inputs` gives the multiplexer channel of each signal."""
 
     facts: ClassVar = multiplexer
+    for_driver: ClassVar = (("channel_delay_s", "channel_delay"),)
 
     driver: Literal["keysight-34970a"]
     inputs: Annotated[dict[Channel, Annotated[int, AfterValidator(_on_a_card)]], Field(min_length=1)]
@@ -197,10 +165,6 @@ class Keysight34970ASection(SerialPortForm):
                 f"state a channel delay of 0 to {longest_s:g} s in steps of 1 ms, not {delay_s:g} s"
             )
         return delay_s
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the driver's option: the channel delay, s."""
-        return {"channel_delay_s": self.channel_delay}
 
     def simulation_options(self, truth: VoltmeterTruth) -> dict[str, Any]:
         """Return the options common to all voltmeters, the model (34972A if on LAN) and the cards by slot."""
@@ -262,7 +226,56 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         }
 
 
-_KEYSIGHT_34970A = (
+class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
+    """A thermometer that answers `request` with one line of text, which holds the temperature in °C.
+
+    A value below `minimum` or above `maximum` is refused; `tolerance` is its error limit.
+    """
+
+    facts: ClassVar = text_line
+    group: ClassVar = text_line.TEMPERATURE
+    for_driver: ClassVar = (*LineForm.for_driver, ("minimum_c", "minimum"), ("maximum_c", "maximum"))
+
+    driver: Literal["line-thermometer"]
+    resource: Annotated[str, AfterValidator(any_resource)]
+    model: Printable = "thermometer"
+    tolerance: SizeK = 0.5
+
+    @property
+    def tolerance_k(self) -> float:
+        """The stated tolerance, K."""
+        return self.tolerance
+
+    def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
+        """Return the options common to all simulated instruments with a line of text, and the error, K."""
+        return self.line_options() | {"error_c": truth.error}
+
+
+DEVICE = (
+    Device(
+        "agilent-34401a",
+        Agilent34401ASection,
+        driver="drivers.instruments.agilent_34401a:Agilent34401A",
+        simulation="sim.agilent_34401a:Agilent34401A",
+        example={"channels": ["x"], "resource": "GPIB0::22::INSTR", "interface": "gpib"},
+        simulated=(*_OF_THE_INPUT, "firmware", "errors_at_start", "real_port"),
+    ),
+    Device(
+        "keysight-34461a",
+        Keysight34461ASection,
+        driver="drivers.instruments.keysight_34461a:Keysight34461A",
+        simulation="sim.keysight_34461a:Keysight34461A",
+        example={"channels": ["x"], "resource": "TCPIP0::192.0.2.22::5025::SOCKET"},
+        simulated=_OF_THE_INPUT,
+    ),
+    Device(
+        "keithley-2000",
+        Keithley2000Section,
+        driver="drivers.instruments.keithley_2000:Keithley2000",
+        simulation="sim.keithley_2000:Keithley2000",
+        example={"channels": ["x"], "resource": "GPIB0::16::INSTR"},
+        simulated=("noise", "accuracy"),
+    ),
     Device(
         "keysight-34970a",
         Keysight34970ASection,
@@ -284,53 +297,21 @@ _KEYSIGHT_34970A = (
         simulated=("error", "noise", "air_share"),
         place=1,
     ),
+    Device(
+        "line-thermometer",
+        LineThermometerSection,
+        driver="drivers.instruments.line_thermometer:LineThermometer",
+        simulation="sim.counters:LineThermometer",
+        example={
+            "resource": "ASRL/dev/ttyUSB1::INSTR",
+            "request": "TEMP?",
+            "pattern": r"T=(?P<temperature>[+-]\d+\.\d+) C",
+            "example": "T=+23.00 C",
+            "errors": {"T=OPEN": "the sensor came off"},
+            "minimum": "-40 degC",
+            "maximum": "125 degC",
+        },
+        simulated=("error",),
+        place=2,
+    ),
 )
-
-
-class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
-    """A thermometer that answers `request` with one line of text, which holds the temperature in °C.
-
-    A value below `minimum` or above `maximum` is refused; `tolerance` is its error limit.
-    """
-
-    facts: ClassVar = text_line
-    group: ClassVar = text_line.TEMPERATURE
-
-    driver: Literal["line-thermometer"]
-    resource: Annotated[str, AfterValidator(any_resource)]
-    model: Printable = "thermometer"
-    tolerance: SizeK = 0.5
-
-    @property
-    def tolerance_k(self) -> float:
-        """The stated tolerance, K."""
-        return self.tolerance
-
-    def driver_options(self) -> dict[str, Any]:
-        """Return the options common to instruments with a line of text, and the temperature range, °C."""
-        return super().driver_options() | {"minimum_c": self.minimum, "maximum_c": self.maximum}
-
-    def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return the options common to all simulated instruments with a line of text, and the error, K."""
-        return self.line_options() | {"error_c": truth.error}
-
-
-_LINE_THERMOMETER = Device(
-    "line-thermometer",
-    LineThermometerSection,
-    driver="drivers.instruments.line_thermometer:LineThermometer",
-    simulation="sim.counters:LineThermometer",
-    example={
-        "resource": "ASRL/dev/ttyUSB1::INSTR",
-        "request": "TEMP?",
-        "pattern": r"T=(?P<temperature>[+-]\d+\.\d+) C",
-        "example": "T=+23.00 C",
-        "errors": {"T=OPEN": "the sensor came off"},
-        "minimum": "-40 degC",
-        "maximum": "125 degC",
-    },
-    simulated=("error",),
-    place=2,
-)
-
-DEVICE = (_AGILENT_34401A, _KEYSIGHT_34461A, _KEITHLEY_2000, *_KEYSIGHT_34970A, _LINE_THERMOMETER)

@@ -130,11 +130,9 @@ class Mount(Step):
     series: int
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         return message(f"mount the block in installation {mount_in_words(self.installation, self.series)}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return times.operator.mount_s
 
 
@@ -154,7 +152,6 @@ class _AtPoint(Step):
         return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
-        """Return the installation or the input, the pass and the point in words."""
         return message(f"{self.place()}, pass {self.pass_number}, point {self.point}")
 
 
@@ -170,13 +167,11 @@ class Turn(_AtPoint):
     on_failure: OnFailure = OnFailure()
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         return message(
             f"turn the head to {degrees(self.target_rad)}, {APPROACH[self.direction]}, for {self.where()}"
         )
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return times.operator.turn_s
 
 
@@ -190,11 +185,9 @@ class Wait(Step):
     reason: str
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         return message(f"wait {duration(self.duration_s)}: {self.reason}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return self.duration_s
 
 
@@ -215,7 +208,6 @@ class Settle(Step):
     interval_s: float
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         whose = message("signals stay") if self.what == "signals" else message("temperature stays")
         return message(
             f"wait until the {whose} within {precision_in_words(self)} for {duration(self.window_s)}, "
@@ -223,7 +215,6 @@ class Settle(Step):
         )
 
     def takes_s(self, times: Times) -> float:
-        """Return the shortest possible duration, s."""
         return min(self.window_s + self.interval_s, self.timeout_s)
 
 
@@ -238,7 +229,6 @@ class SelectInput(Step):
     reference_v: float | None = None
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         match self.source:
             case "short":
                 return message("short the three inputs")
@@ -248,7 +238,6 @@ class SelectInput(Step):
                 return message("switch the three inputs back to the signals")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return times.operator.input_s
 
 
@@ -270,7 +259,6 @@ class Read(_AtPoint):
     scan: str = ""
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         where = self.where()
         if self.target_rad is not None:
             where = message(f"{where} at {degrees(self.target_rad)}")
@@ -279,7 +267,7 @@ class Read(_AtPoint):
         )
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s; with autozero, a sample takes two integrations."""
+        # with autozero, a sample takes two integrations
         return self.samples * (2.0 * self.nplc / times.line_hz + _SAMPLE_OVERHEAD_S)
 
 
@@ -299,12 +287,10 @@ class Ask(Step):
     maximum: float | None = None
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         default = "" if self.default is None else f" [{self.default}]"
         return message(f"ask: {self.text}{default}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return times.operator.answer_s
 
 
@@ -318,11 +304,9 @@ class SetTemperature(Step):
     target_c: float
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         return message(f"set the chamber to {self.target_c:g} °C")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return times.operator.answer_s
 
 
@@ -341,7 +325,6 @@ class Power(Step):
     warm_up_s: float | None = None
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         if self.switch == "off":
             return message("switch the block off")
         off = message(f" off for {duration(self.off_s)} and") if self.off_s else message(" off and")
@@ -358,7 +341,6 @@ class Power(Step):
         return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s."""
         return power_duration_s(self, times.supply)
 
 
@@ -380,7 +362,6 @@ class Level(Step):
     within_rad: float | None = None
 
     def describe(self) -> str:
-        """Return a one-line description of the action."""
         where = f"installation {mount_in_words(self.installation, self.series)}"
         if self.within_rad is None:
             what = message(f"read the level as the platform stands, levelled for {where}")
@@ -390,7 +371,7 @@ class Level(Step):
         return message(f"{what} in two positions{times}")
 
     def takes_s(self, times: Times) -> float:
-        """Return the expected duration, s, of turns, readings (two positions, two axes) and levelling."""
+        # turns, readings (two positions, two axes) and levelling
         by_hand = times.operator
         levelled_s = by_hand.mount_s * (self.within_rad is not None)
         return self.settings * (by_hand.turn_s + 4.0 * by_hand.answer_s) + levelled_s

@@ -98,13 +98,14 @@ class Seen:
 class Effect(ABC):
     """An effect of the forward model. Stateless: the values of its parameters are passed in.
 
-    `sentence` describes the effect; `shown_by` names a measurement that would show it. A `per_mount` effect may act
-    in single mountings; if it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may
-    act in single passes of a mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the
-    sets of parameters that a diagnosis tries alone, with the others zero; if empty, it derives the sets from the
-    names. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path of
-    the head to the setting. `start_repeats` is true if the starting state follows from how the head is brought to
-    its first setting, so that other mountings repeat it.
+    `sentence` describes the effect; `shown_by` names a measurement that would show it; `shows_on` names the parts
+    of the bench where it shows (`docs/generators/effects.py`). A `per_mount` effect may act in single mountings; if
+    it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may act in single passes of a
+    mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the sets of parameters that a
+    diagnosis tries alone, with the others zero; if empty, it derives the sets from the names. `needs_history` is
+    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
+    `start_repeats` is true if the starting state follows from how the head is brought to its first setting, so that
+    other mountings repeat it.
     """
 
     name: str
@@ -113,6 +114,7 @@ class Effect(ABC):
     parameters: tuple[Parameter, ...]
     sentence: str
     shown_by: str
+    shows_on: tuple[str, ...] = ()
     per_mount: bool = False
     lasts: bool = False
     per_pass: bool = False
@@ -143,6 +145,7 @@ class BlockEffect(Effect):
 
     stage = Stage.BLOCK_OUTPUT
     subsystem = Subsystem.BLOCK
+    shows_on: tuple[str, ...] = ("block",)
 
 
 class StandEffect(Effect):
@@ -161,6 +164,7 @@ class HeadEffect(Effect):
     order: int | None = None
     stage = Stage.HEAD_ANGLE
     subsystem = Subsystem.STAND
+    shows_on = ("head",)
 
 
 class VoltmeterEffect(Effect):
@@ -168,6 +172,7 @@ class VoltmeterEffect(Effect):
 
     stage = Stage.VOLTMETER_READING
     subsystem = Subsystem.VOLTMETER
+    shows_on = ("voltmeters",)
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:

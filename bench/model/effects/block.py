@@ -270,6 +270,7 @@ class LaggedEffect(BlockEffect):
     """
 
     of_scale: ClassVar[bool] = False
+    shows_on = ("chamber", "block")
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
@@ -351,6 +352,7 @@ class WarmUp(BlockEffect):
     """
 
     name = "warm_up"
+    shows_on = ("supply", "block")
     parameters = (
         Parameter("A", "ug", 1e-6, plausible=150e-6, per_channel=True),
         time_constant(5, 10, 15, 20, 30, 45, 60, 80),
@@ -391,6 +393,7 @@ class TurnOnShift(BlockEffect):
     """A step of bias at a remount or a power cycle; it lasts to the end of the run."""
 
     name = "turn_on_shift"
+    shows_on = ("supply", "block")
     parameters = (Parameter("step", "ug", 1e-6, plausible=60e-6, per_channel=True),)
     sentence = "the bias of the accelerometer made a step when the block was mounted or switched on"
     shown_by = "a return to installation 1 at the end; a remount turned by 180 deg; power kept on at remounts"
@@ -451,6 +454,7 @@ class SupplySensitivity(BlockEffect):
     """
 
     name = "supply_sensitivity"
+    shows_on = ("supply", "block")
     parameters = (
         Parameter("b_S", "ug/V", 1e-6, plausible=20e-6, per_channel=True),
         Parameter("k_S", "ppm/V", 1e-6, plausible=20e-6, per_channel=True),

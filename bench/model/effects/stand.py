@@ -46,6 +46,7 @@ class AxisTilt(ConstantAngle):
     """The tilt of the head's axis, alpha1, beyond its limits."""
 
     name = "axis_tilt"
+    shows_on = ("foundation", "shaft")
     parameters = (angle("angle", 10),)
     sentence = "the head's axis is tilted from the level by more than the bench file allows"
     shown_by = "a remount turned by 180 deg; a level on the shaft"
@@ -55,6 +56,7 @@ class ZeroOffset(ConstantAngle):
     """The zero offset of the head's scale, alpha2, beyond its limits."""
 
     name = "zero_offset"
+    shows_on = ("foundation", "platform")
     parameters = (angle("angle", 10),)
     sentence = "the zero of the head's scale is off the vertical by more than the bench file allows"
     shown_by = "both directions of approach, and installations that share an axis of the block"
@@ -64,6 +66,7 @@ class MountingError(ConstantAngle):
     """The mounting error alpha3 beyond its limits: a tilt of -alpha3 sin(phi) out of the plane of rotation."""
 
     name = "mounting_error"
+    shows_on = ("bracket",)
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned out of the plane of rotation by more than the bench file allows"
     shown_by = "a remount turned by 180 deg on the platform"
@@ -73,6 +76,7 @@ class MountingOffset(ConstantAngle):
     """A rotation of the block about the shaft that differs between mountings."""
 
     name = "mounting_offset"
+    shows_on = ("bracket",)
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted turned within the plane of rotation"
     shown_by = "a remount turned by 180 deg on the platform"
@@ -82,6 +86,7 @@ class MountingRoll(ConstantAngle):
     """The third mounting angle alpha5: a tilt of alpha5 cos(phi) out of the plane of rotation."""
 
     name = "mounting_roll"
+    shows_on = ("bracket",)
     parameters = (angle("angle", 90),)
     sentence = "the block was mounted tilted about the third axis of the platform"
     shown_by = "verification points with the block turned about x or z; a third installation"
@@ -152,6 +157,7 @@ class AxisWobble(StandEffect):
     """A tilt of the axis that varies with the head angle: w_c cos(h phi) + w_s sin(h phi), with harmonic h."""
 
     name = "axis_wobble"
+    shows_on = ("shaft",)
     parameters = (
         angle("cosine", 5),
         angle("sine", 5),
@@ -169,6 +175,7 @@ class BracketTilt(ConstantAngle):
     """A tilt alpha1 out of the plane of rotation, constant during a mounting; each remount changes it."""
 
     name = "bracket_tilt"
+    shows_on = ("platform", "bracket")
     column = "axis_tilt"
     parameters = (angle("angle", 30),)
     sentence = "the bracket tilted when the block was mounted, equally at all angles"
@@ -182,6 +189,7 @@ class FoundationTilt(StandEffect):
     """
 
     name = "foundation_tilt"
+    shows_on = ("foundation",)
     parameters = (
         angle("cosine", 3),
         angle("sine", 3),
@@ -210,6 +218,7 @@ class BlockSlip(StandEffect):
     """A change of the three mounting angles in some passes of a mounting."""
 
     name = "block_slip"
+    shows_on = ("bracket",)
     parameters = tuple(angle(column, 60) for column in MOUNTING_ANGLES)
     apart = (*((column,) for column in MOUNTING_ANGLES), MOUNTING_ANGLES)
     sentence = "the block slipped or was clamped again: its mounting angles changed between passes"
@@ -231,6 +240,7 @@ class MountingCreep(StandEffect):
     """
 
     name = "mounting_creep"
+    shows_on = ("bracket",)
     parameters = (
         *(angle(column, 20) for column in MOUNTING_ANGLES),
         Parameter(

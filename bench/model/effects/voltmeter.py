@@ -256,6 +256,7 @@ class ThermalEmf(Effect):
     """A constant voltage in the leads of each channel; shorting the meter's inputs does not reveal it."""
 
     name = "thermal_emf"
+    shows_on = ("voltmeters",)
     stage = Stage.BLOCK_OUTPUT
     subsystem = Subsystem.VOLTMETER
     parameters = (Parameter("emf", "uV", 1e-6, plausible=5e-6, per_channel=True),)
@@ -270,6 +271,7 @@ class WrongGravity(Effect):
     """Local gravity greater than stated in the bench file; not distinguishable from the scale factors."""
 
     name = "wrong_gravity"
+    shows_on = ("building",)
     stage = Stage.SPECIFIC_FORCE
     subsystem = Subsystem.SITE
     parameters = (Parameter("excess", "ppm", 1e-6, plausible=300e-6, per_channel=False),)

@@ -183,7 +183,6 @@ def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
 
 
 def _report_equal_serials(evening: CommissioningSession) -> None:
-    """Report instruments of one model that state the same serial number."""
     for words in same_serials(evening.identities):
         remedy = "compare the serial numbers with those on the instruments, and correct the addresses"
         evening.note(Finding(IDENTITY, BENCH, State.OTHER, words, remedy=remedy))

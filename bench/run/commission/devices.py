@@ -234,7 +234,9 @@ def _moved(
         f"{degrees(form.speed)} a second.{first} Is the way clear, and do all cables hang free?",
         action={"do": "stand_clear"},
     )
-    start_rad = _position_rad(head) if from_rad is None else from_rad
+    start_rad = from_rad
+    if start_rad is None:
+        start_rad = head.position_rad() if isinstance(head, Motor) else math.nan
     begun_s = evening.time_s()
     position = head.move(target_rad, direction, "commission")
     took_s = evening.time_s() - begun_s
@@ -256,10 +258,6 @@ def _moved(
         MOVE, head.name, State.SLOWER, f"{said}, in {took_s:.2g} s, not {least_s:.2g} s", figures,
         "check its speed in the bench file and in the controller, and its load",
     )  # fmt: skip
-
-
-def _position_rad(head: DividingHead) -> float:
-    return head.position_rad() if isinstance(head, Motor) else math.nan
 
 
 def _stopped(

@@ -13,7 +13,7 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.text import degrees
 from bench.config.devices.sections import HeadForm, MotorisedHeadForm
-from bench.readings.reading import Reading
+from bench.readings.table import Reading
 from bench.run.commission import meters
 from bench.run.commission.course import BENCH, IDENTITY, HasScale, who
 from bench.run.commission.devices import MANUAL_WAY_RAD
@@ -109,7 +109,6 @@ class MorningCourse:
             meters.SharedReading(evening, SAMPLES).checks(REFERENCE, partial(_held, evening, volts))
 
     def _check_block(self, stands: list[_Stand]) -> Finding:
-        """Return the finding on the check block at the last of two stands."""
         if not self.serial:
             return Finding(CHECK_BLOCK, BENCH, State.SKIPPED, "the bench file states none")
         if self.judge is None or len(stands) < 2:
@@ -157,7 +156,6 @@ class _Job:
     carry_out: Callable[[], object]
 
     def wait_and_carry_out(self, evening: CommissioningSession) -> None:
-        """Wait until the check is due, and carry it out."""
         left_s = self.due_s - evening.clock.now_s()
         if left_s > 0.0:
             evening.tell(f"Waiting {left_s:.0f} s: the shorted inputs take the temperature of the room.")
@@ -166,7 +164,6 @@ class _Job:
 
 
 def _jobs(evening: CommissioningSession, *, shorted: bool) -> list[_Job]:
-    """Return the checks of the voltmeters that need no person: self-tests, and noise if the inputs are shorted."""
     jobs = [
         _Job(0.0, partial(evening.carry_out, SELF_TEST, one, partial(_tested, one), by_answers=False))
         for one in evening.instruments.all()
@@ -284,7 +281,6 @@ def _tested(instrument: Instrument) -> Finding:
 def _held(
     evening: CommissioningSession, volts: float, meter: Voltmeter, shared: meters.SharedReading
 ) -> Finding:
-    """Return the finding on whether the channels of a meter at the reference voltage are within limits of error."""
     _, samples, _ = shared.of(meter)
     stated_v = evening.file.stand_distributions()["voltmeter_error"].limit
     limit_v = max(meters.limit_v(evening, meter, volts), stated_v)
@@ -317,7 +313,6 @@ def _signals(evening: CommissioningSession) -> Floats:
 
 
 def _compared(evening: CommissioningSession, first: _Stand, second: _Stand) -> Finding:
-    """Return the finding on the head's return home, from the changes of angles read and signals."""
     turned_rad, changed_v = second.angle_rad - first.angle_rad, second.signals_v - first.signals_v
     stand = evening.file.stand_distributions()
     setting_rad = stand["setting_error"].u
@@ -353,7 +348,6 @@ def _compared(evening: CommissioningSession, first: _Stand, second: _Stand) -> F
 
 
 def _judged(serial: str, reading: Reading, judged: ReadingJudgement) -> Finding:
-    """Return the finding on whether a reading of the check block agrees with the control chart."""
     figures = tuple(
         Figure(
             f"{channel} less expected", 1e6 * float(off), "µV", f"u {1e6 * math.sqrt(float(variance)):.3g} µV"

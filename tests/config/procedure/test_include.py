@@ -6,7 +6,6 @@ import pytest
 
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
-from bench.config.procedure import expansion
 from bench.config.procedure import load as load_module
 from bench.config.procedure.check import check
 from bench.config.procedure.load import load_procedure
@@ -41,8 +40,8 @@ def test_doubling_includes_are_read_once_and_end(told, tmp_path):
 
 
 def test_doubling_without_end_is_told(told, tmp_path, monkeypatch):
-    assert expansion.MOST_STEPS == 200_000
-    monkeypatch.setattr("bench.config.procedure.expansion.MOST_STEPS", 2000)
+    assert load_module.MOST_STEPS == 200_000
+    monkeypatch.setattr("bench.config.procedure.load.MOST_STEPS", 2000)
     test_doubling_includes_are_read_once_and_end(told, tmp_path)
     assert "more than 2000 steps; check its repeats, counts and includes" in told("- include: d0.yaml\n")
 
