@@ -50,11 +50,7 @@ An effect that would have to be larger is no alias; an effect that shows only be
 
 @dataclass(frozen=True)
 class Data:
-    """Scalar products of data sets with themselves and with the columns of the candidates.
-
-    A data set is a vector r of N whitened residuals, measured minus predicted. `square` (ratios, sets) is r^T r
-    of each data set at each noise ratio. `along` (ratios, P, sets) is A^T r, where A are the P whitened columns.
-    """
+    """Products of whitened residuals r: r^T r, `square` (ratios, sets); A^T r, `along` (ratios, P, sets)."""
 
     square: Floats
     along: Floats
@@ -71,10 +67,7 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The scalar products of the candidates' columns, whitened at each noise ratio of a grid.
-
-    `kept` is a cache of scores, for repeated searches in the same data.
-    """
+    """The scalar products of the candidates' columns at each noise ratio; `kept` is a cache of scores."""
 
     grid: NoiseGrid
     candidates: Candidates
@@ -97,11 +90,7 @@ class Whitened:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """The variants, grouped by their number p of columns.
-
-        A group is a tuple of three arrays: the indices (v,) of its v variants; the indices (v, p) of their
-        columns; the Gram matrices (ratios, v, p, p) of these columns.
-        """
+        """Variants by number p of columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -112,11 +101,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the scalar products of data sets with the columns, from which the evidence follows.
-
-        `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
-        unit of the signal.
-        """
+        """Return the products of data sets with the columns; `response` (N, sets) has residuals, unit of signal."""
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
         square = np.empty((len(white), sets))
         along = np.empty((len(white), self.candidates.columns.shape[1], sets))
@@ -196,19 +181,15 @@ class Search:
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of the k `columns`, with the known columns projected out.
-
-        `ratio` is the index of the noise ratio.
-        """
+        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out."""
         gram = self.whitened.among(ratio, columns)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the scalar products (P,) of a weighted sum of columns with all P columns.
+        """Return the products (P,) of all columns with the sum of `columns` (indices) times `sizes` (k,).
 
-        The weighted sum is of the k `columns` (indices), with the weights `sizes` (k,). The known columns are
-        projected out. `ratio` is the index of the noise ratio.
+        The known columns are projected out; `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across(chosen, slice(ratio, ratio + 1))[0]
@@ -224,10 +205,7 @@ class Search:
         )
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence of the model with the known columns, for the first data set of `data`.
-
-        The size of the noise is integrated out, the noise ratio averaged over its prior.
-        """
+        """Return ln of the evidence for the first data set, with size and ratio of the noise integrated out."""
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
@@ -266,20 +244,13 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """For each variant, ln of the Bayes factor of adding it to the present model.
-
-    `variants` (variants, sets) has an entry for each data set. `ratio` (ratios, sets) is the posterior
-    probability of each noise ratio under the present model.
-    """
+    """ln of the Bayes factor of each variant (variants, sets); probability of each noise `ratio` (ratios, sets)."""
 
     variants: Floats
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:
-        """Return ln of the Bayes factor of each family, shape (families, sets).
-
-        The Bayes factor of a family is the mean over the family's forms, so that many forms are no advantage.
-        """
+        """Return ln of the Bayes factor of each family, a mean over forms, shape (families, sets)."""
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
@@ -350,30 +321,20 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the probability that chance gives at least this `evidence`, or 1 if it is below the fitted tail.
-
-        As the evidence is that of all candidates together, the p-value counts all tests.
-        """
+        """Return the p-value of this `evidence`, which counts all tests; 1 if it is below the fitted tail."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
-    """Return ln of the odds that any effect is missing, shape (sets,).
-
-    It is ln of the sum of the Bayes factors of all families, weighted by their prior probabilities.
-    """
+    """Return ln of the odds that any effect is missing, shape (sets,): a sum over families with their priors."""
     families = scores.families(whitened.candidates) + whitened.candidates.log_prior[:, None]
     return np.asarray(logsumexp(families, axis=0), dtype=np.float64)
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return residuals (N, sets) of data sets simulated with a complete model.
-
-    `sigma` is the noise of a reading in the unit of the signal, and `ratios` (sets,) the noise ratio of each
-    data set.
-    """
+    """Return residuals (N, sets) of a complete model, with noise `sigma` and a noise ratio for each set."""
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * linear.relative[:, None]
@@ -385,11 +346,7 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold for these readings from `nulls` data sets simulated with a complete model.
-
-    The noise ratio of each data set is drawn from its prior, which follows from the setting error in the
-    bench file.
-    """
+    """Return the threshold from `nulls` data sets of a complete model; noise ratios are drawn from their prior."""
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
@@ -399,11 +356,9 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that data sets exceed in the fraction `FALSE_ALARMS`, by a fit to the upper tail.
+    """Return the threshold that the `evidence` (sets,) of complete models exceeds in `FALSE_ALARMS` of cases.
 
-    `evidence` (sets,) is that of each data set simulated with a complete model. The tail begins at the level
-    `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
-    smaller variance than the empirical quantile.
+    The tail begins at `OFTEN`; the quantile of its exponential has a smaller variance than the empirical one.
     """
     ordered = np.sort(evidence)
     many = max(int(OFTEN * len(ordered)), 10)
@@ -425,11 +380,7 @@ class ThresholdCache:
     folder: Path | None
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold for these readings from the cache, or simulate it and store it there.
-
-        `setting_rad` is the setting error that the bench file states. A cache that cannot be written is
-        ignored.
-        """
+        """Return the threshold from the cache, or simulate and store it; a folder that is read-only is ignored."""
         if self.folder is None:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
@@ -481,11 +432,7 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return a line for each effect of the catalogue that is defined by a formula: name, stage and formula.
-
-    The parameters alone do not define such an effect, so that the key of a cached threshold includes these
-    lines.
-    """
+    """Return name, stage and formula of each effect defined by a formula, for the key of a threshold."""
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

@@ -65,10 +65,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The effects found, in the order of the search.
-
-    `left` is ln of the odds that yet another effect is missing.
-    """
+    """The effects found, in the order of the search; `left` is ln of the odds that another is missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
@@ -94,12 +91,10 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of all families in one data set, given a model that has some known columns.
+    """The scores of all families in one data set beside the known columns, which `left` has subtracted.
 
-    `left` are the scalar products of the data after the known columns are fitted and subtracted. `scores` has the
-    scores of all variants. `evidence` maps each family to ln of its Bayes factor; `log_odds` maps each family to
-    this logarithm plus ln of its prior probability. `total` is ln of the sum of these odds, that is, of the odds
-    that some family is missing. `ratio` is the index of the most probable noise ratio.
+    `evidence` and `log_odds` map families to ln of the Bayes factor without and with the prior; `total` is ln
+    of the sum of the odds. `ratio` is the index of the most probable noise ratio.
     """
 
     search: Search
@@ -112,10 +107,7 @@ class Scored:
 
     @classmethod
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        """Return the scores of all families, given a model with the columns `known`.
-
-        Scores of the data set last used are cached in `whitened`, because a search asks for them repeatedly.
-        """
+        """Return the scores given the columns `known`; those of the data set last used are cached in `whitened`."""
         kept = whitened.kept
         if kept.get("data") is not data:
             kept.clear()
@@ -142,18 +134,12 @@ class Scored:
         )
 
     def best(self, among: Among | None = None) -> FoundEffect:
-        """Return the family with the largest posterior odds as an effect found.
-
-        `among` says which families are permitted; None permits all.
-        """
+        """Return the family with the largest posterior odds, of those permitted by `among`, as an effect found."""
         families = [f for f in self.log_odds if among is None or among(f)]
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
-        """Return a family as an effect found, in its most probable form.
-
-        If the readings do not determine in which mounting it acts, the form has a value for each mounting.
-        """
+        """Return a family as an effect found, in its best form; undetermined mountings all have values."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
@@ -187,10 +173,7 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the amplitudes (p,) estimated for a form's columns, and the Gram matrix (p, p) of these columns.
-
-        An amplitude is a multiple of the plausible size. The known columns are projected out.
-        """
+        """Return amplitudes (p,) and Gram matrix (p, p) of a form's columns, the known columns projected out."""
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -251,11 +234,10 @@ def find(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> list[FoundEffect]:
-    """Return the effects that act in one data set and that the model lacks.
+    """Return the effects that act in one data set and that the model lacks, after those in `begun`.
 
-    Effects are added to those in `begun` until the odds that some family is missing fall below the threshold, or
-    until `most` were added. `among` says which families may be found (None: all); the odds always include all
-    families.
+    The search ends when the odds of a missing family are below the threshold, or after `most`. Only families of
+    `among` (None: all) are found; the odds include all.
     """
     found, free = list(begun), len(begun)
     while len(found) < most + free:
@@ -298,10 +280,9 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return those effects found that are necessary.
+    """Return the necessary finds; the first `kept` always stay, and the weakest is tested first.
 
-    An effect is unnecessary if the odds that some family is missing stay below the threshold without it. The
-    weakest effect is tested first. The first `kept` effects always stay.
+    Without a necessary one, the odds that some family is missing reach the threshold.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -313,11 +294,7 @@ def needed(
 
 
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
-    """Return an effect found, completed with the odds of all families that could be in its place.
-
-    `scored` are the scores given all other effects found. `among` says which families are permitted (None:
-    all).
-    """
+    """Return an effect found with the odds of all families permitted by `among` that could be in its place."""
     family, evidence, plain = one.variant.family, scored.evidence, one.variant.plain
     odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
     ranked, likely = [one.name for one in odds], holding(odds)
@@ -368,10 +345,7 @@ def holding(odds: Sequence[FamilyOdds]) -> list[str]:
 
 
 def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYOND_BELIEF) -> dict[str, int]:
-    """Return each effect that explains `enough` of a signature, with the least number of parameters it needs.
-
-    An effect that would have to exceed `most` plausible sizes is left out.
-    """
+    """Return the effects of at most `most` that explain `enough` of a signature, with the parameters each needs."""
     if not variant.named:
         return {}
     search, ratio = scored.search, scored.ratio

@@ -55,10 +55,8 @@ def planned_readings(
 ) -> Readings:
     """Return the readings that a plan would give on a stand without errors, in the order of measurement.
 
-    Times are those that the plan expects, at the mains frequency `line_hz`. The temperature is
-    `temperature_c` until the plan sets another. The signals are those of `block` in `model` without its
-    effects, in `unit`, at the planned angles. Raises `KeyError` if the model lacks an installation of the
-    plan.
+    They have expected times, `temperature_c` until the plan sets another, and signals of `block` without
+    effects, in `unit`. Raises `KeyError` if the model lacks an installation of the plan.
     """
     reads: list[Read] = []
     states: list[tuple[float, float, float]] = []
@@ -115,11 +113,7 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 
 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
-    """Return the readings `first` followed by those that a plan would give afterwards.
-
-    The other arguments are those of `planned_readings`. The temperature remains at its last value in `first`
-    until the plan sets another.
-    """
+    """Return the readings `first` and then those of a plan (`planned_readings`), at the last temperature."""
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
@@ -168,10 +162,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
-
-    `hours` is the duration. A tie is settled if one of its names reaches a posterior probability of 1 - `OFTEN`.
-    """
+    """The duration of a procedure, and the probability that one name of every tie reaches 1 - `OFTEN`."""
 
     procedure: str
     hours: float
@@ -240,10 +231,9 @@ class Proposal:
         return self.written or self.source
 
     def write(self, path: Path) -> Proposal:
-        """Write a copy of the procedure that begins with the reason; return the proposal with its path.
+        """Write a copy of the procedure that begins with the reason to `path`; return the proposal with its path.
 
-        The copy is written to `path`. If a file with other contents exists there, a number is added to the
-        name instead. Raises `OSError` if the copy cannot be written.
+        A number is added to the name of a file with other contents. Raises `OSError` if it cannot be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
@@ -308,7 +298,6 @@ class _Bill:
                 yield path, procedure.plan
 
     def _linear(self, plan: Plan | None) -> LinearSystem:
-        """Return the system of the present readings, and of the readings of a plan (if any) as one more run."""
         linear = self._diagnosis.linear
         if plan is None:
             return linear
@@ -321,10 +310,7 @@ class _Bill:
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
-        """Return the procedure that resolves the most ties, or else separates them fastest.
-
-        None if no procedure helps.
-        """
+        """Return the procedure that resolves the most ties, else separates them fastest; None if none helps."""
         before = self._divergences(None)
         bills, chances = [], []
         for path, plan in self.plans.items():
@@ -349,11 +335,7 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved.
-
-        `before` and `after` have the divergence D of each find from each of its ties, by the two names,
-        without and with the readings of the procedure.
-        """
+        """Return the probability that every tie is resolved; divergences D `before` and `after` are by pair."""
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {

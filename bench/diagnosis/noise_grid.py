@@ -21,10 +21,9 @@ from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Yield the connected components of a matrix (N, k), each as its rows and its columns, ascending.
+    """Yield rows and columns, ascending, of each connected component of a matrix (N, k).
 
-    The matrix is zero between the rows of one component and the columns of another. Every column is in one
-    component; a row of zeros is in none.
+    Every column is in one component; a row of zeros is in none.
     """
     many, count = matrix.shape
     row, column = np.nonzero(matrix)
@@ -117,10 +116,7 @@ class Whitener:
         return turned
 
     def taken(self, turned: Floats) -> Iterator[Floats]:
-        """Yield what each fitted subspace takes from columns made independent (`apart`), (k, P).
-
-        The products of these components are to be subtracted from the weighted products of the columns.
-        """
+        """Yield what each fitted subspace takes (k, P) from columns made independent (`apart`)."""
         for span in self.fitted:
             along = (span.basis.T * self.root[span.rows]) @ turned[span.rows]
             yield along * np.sqrt(1.0 - span.kept**2)[:, None]
@@ -154,11 +150,7 @@ class NoiseGrid:
     known: bool = False
 
     def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
-        """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
-
-        `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
-        out. `out` is an array for the result.
-        """
+        """Return ln of the likelihood from sums of `square` residuals, over a noise that is not known."""
         if self.known:
             return np.multiply(square, -0.5, out=out)
         logarithm: Floats = np.log(square, out=out)
@@ -183,9 +175,8 @@ def make_noise_grid(
 ) -> NoiseGrid:
     """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `sigma` is a first estimate of the noise of a reading, in the unit of the signal. Prior standard deviations
-    are divided by it. `setting_rad` is the setting error that the bench file states (0: unknown), from which the
-    prior of the ratios follows. Fewer `ratios` save time if the noise is known well enough.
+    `sigma` is a first estimate of the noise, unit of the signal; the prior of the ratios follows from
+    `setting_rad`, that of the bench file (0: unknown). Fewer `ratios` save time.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -212,10 +203,9 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of wide `random` columns: nonzero in more than the fraction `FEW` of the rows, or than
-    a run has.
+    """Return the mask (q,) of `random` columns in more than `FEW` of the rows, or than a run has.
 
-    A wide column is fitted: as a covariance, it would join all its rows in one dense block. Both give the same.
+    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same.
     """
     most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
@@ -224,10 +214,7 @@ def _wide(linear: LinearSystem) -> Mask:
 def _whites(
     linear: LinearSystem, settings: Sequence[float], sigma: float
 ) -> Iterator[tuple[Whitener, float]]:
-    """Yield the whitening map for each setting error, with the part of ln of the likelihood without the data.
-
-    The setting errors are in rad per unit of the noise of a reading, `sigma`.
-    """
+    """Yield the map for each setting error, rad per unit of noise, with ln of the likelihood without the data."""
     wide = _wide(linear)
     fixed, shared = linear.fixed, linear.random[:, wide] / sigma
     blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
@@ -242,10 +229,9 @@ def _whites(
 def _blocks(
     linear: LinearSystem, local: Floats
 ) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
-    """Return the `blocks` of a `Whitener`, the variances (N,) that a setting error of 1 rad adds, and ln |T|.
+    """Return the `blocks` of a `Whitener`, the variances (N,) of a setting error of 1 rad, and ln |T|.
 
-    Rows are joined by a setting, or by a column of `local` (N, k), in units of the noise. T is the matrix that
-    makes the noise of the rows independent. Without a setting error, their variances are 1.
+    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent.
     """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
@@ -344,18 +330,12 @@ class ColumnProducts:
     taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
-
-        `columns` (k,) are their indices; `at` selects ratios.
-        """
+        """Return the scalar products of k `columns` (indices) with all, (ratios, k, P), `at` some ratios."""
         whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
         return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
-
-        `columns` (…, p) has the indices of each set in its last axis; `at` selects ratios.
-        """
+        """Return the Gram matrices (ratios, …, p, p) of sets of columns (…, p), `at` some ratios."""
         if columns.shape[-1] == 1:
             return np.asarray(self.square[at][:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.rows[:, columns], 0, -2)
@@ -417,10 +397,9 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the likeliest noise, by maximum likelihood, of m independent residuals with `squares` (m,).
+    """Return the noise of the largest likelihood for independent `squares` (m,) of residuals.
 
-    `along` (m,) is the factor with which the variance of the setting error enters each square. This variance is
-    tried on a grid of multiples of the noise variance.
+    The variance of the setting error, times `along` (m,), is tried in multiples of that of the noise.
     """
     ratio = np.append(0.0, np.geomspace(1e-2, 1e6, 81)) / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -444,10 +423,7 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number (n,) for each setting, which is equal for repeats of a setting.
-
-    Repeats are settings of the same mounting at the same angle, rounded to `MARK_DEG`.
-    """
+    """Return a number (n,) for each setting, equal for the same mounting and angle, rounded to `MARK_DEG`."""
     mount, angle = _mounts_and_angles(linear)
     cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
@@ -480,10 +456,7 @@ Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 
 
 def digit_of(readings: Readings) -> float:
-    """Return the step of the last digit of the signals, in their unit; 0 if there is no such step.
-
-    It may exceed the resolution of the file: it is 2e-5 if all signals are even multiples of 1e-5.
-    """
+    """Return the step of the last digit of the signals, at least the resolution of the file; 0 if there is none."""
     resolution = readings.resolution
     if not resolution > 0.0 or readings.resolution_read is not None:
         return resolution
@@ -497,19 +470,12 @@ def is_coarse(digit: float, sigma: float) -> bool:
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Return whether repeats share a rounding error that is not negligible.
-
-    The noise is then fixed at `sigma`, because the residuals no longer show its size.
-    """
+    """Return whether repeats share a rounding error; the noise is then fixed, as residuals do not show it."""
     return repeated(digit, sigma) > SAME_SIZE * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system; its noise includes the rounding error that repeats of a setting share, unless
-    negligible.
-
-    `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
-    """
+    """Return the system with the noise of the rounding error that repeats share, unless negligible."""
     if not is_rounded(digit, sigma):
         return linear
     size = repeated(digit, sigma)
@@ -529,10 +495,7 @@ def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, d
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the standard deviation of the part of the rounding error that repeats share.
-
-    `digit` is the step of the last digit and `sigma` the noise with rounding, all in the unit of the signal.
-    """
+    """Return the 1 sigma of the rounding error that repeats share, for the noise `sigma` with rounding."""
     if not digit > 0.0:
         return 0.0
     return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

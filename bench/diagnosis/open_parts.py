@@ -37,9 +37,7 @@ Shape = tuple[tuple[str, float], ...]
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
     """Yield other shapes that the effect, or a part of it, may have in truth.
 
-    One shape parameter at a time has the values of the catalogue's grid, values between them, and values just
-    beyond the ends of the grid; the other shape parameters remain as `found`. A shape parameter without a unit is
-    not changed.
+    One parameter with a unit at a time has values of its grid, between them and just beyond; the others stay.
     """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
@@ -70,11 +68,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, for each effect of the catalogue found, the probabilities (3,) that it acts in x, y and z.
-
-    The keys are the indices of the effects in `naming.found`. The probability of a channel is the sum over the
-    forms that act in it, each weighted by its evidence.
-    """
+    """Return the probabilities (3,) that the finds (keys: their indices) act in x, y and z, over all forms."""
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:
@@ -136,10 +130,7 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
 
 
 class OpenSize(NamedTuple):
-    """One size that is only limited by its prior: a parameter of an effect in a channel (None: all).
-
-    `column` (N,) is the change of the rows if it equals its prior u.
-    """
+    """A size limited only by its prior, in a channel (None: all); `column` (N,) is the change by its prior u."""
 
     applied: AppliedEffect
     parameter: str
@@ -212,10 +203,10 @@ def starting_states(
     sized: Posterior,
     begun: Sequence[AppliedEffect] = (),
 ) -> tuple[AppliedEffect, ...]:
-    """Return the unknown starting state of each mounting and channel as a part (`InPart`) of the effect found.
+    """Return the starting state of each mounting and channel as a part (`InPart`) of the effect found.
 
-    Its prior u follows from the size in `sized`, as every fit estimates it again. Its value is the estimate if
-    states repeat (`Effect.start_repeats`), else zero. `begun` are the parts that precede these.
+    Prior u follows from the size in `sized`; the value is zero unless states repeat. Parts `begun` precede
+    these.
     """
     states: list[AppliedEffect] = []
     for found, mine in naming.sizes():
@@ -254,10 +245,9 @@ def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
 
 
 def _directions(covariance: Floats, shown: Floats) -> Floats:
-    """Return a square root (m, k) of a covariance; its columns are sorted by how much they change the readings.
+    """Return a square root (m, k) of a covariance, by decreasing change of the readings.
 
-    `shown` (N, m) is the change of the readings, in units of noise, by a unit of each size. A column that changes
-    them negligibly is left out.
+    `shown` (N, m) is the change by each size, in units of noise; negligible columns are left out.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))

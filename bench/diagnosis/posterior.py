@@ -23,10 +23,7 @@ from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 
 @dataclass(frozen=True)
 class NoiseSize:
-    """The estimated noise of a reading (unit of the signal) and setting error of the head (rad).
-
-    `freedom` are the degrees of freedom of the noise of a reading.
-    """
+    """The noise of a reading, unit of the signal, with its degrees of freedom, and the setting error, rad."""
 
     reading: float
     setting_rad: float
@@ -64,11 +61,9 @@ class Posterior:
         return self.covariance[first:, first:]
 
     def significance(self, of: slice) -> tuple[float, float]:
-        """Return the size rho of some amplitudes in units of their uncertainty, and its p-value.
+        """Return the size rho of the amplitudes b in a slice in units of u, and its p-value (chi-square).
 
-        The amplitudes b are those in the slice `of`. With their covariance C, rho^2 = b^T C^-1 b; for a
-        single amplitude, rho is its size over its u. The p-value is the probability that chi-square of as
-        many degrees of freedom exceeds rho^2.
+        With their covariance C, rho^2 = b^T C^-1 b.
         """
         amplitudes, covariance = self.amplitudes[of], self.amplitude_covariance[of, of]
         square = float(amplitudes @ _inverse(covariance) @ amplitudes)
@@ -76,10 +71,7 @@ class Posterior:
 
 
 def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseSize:
-    """Return the noise that the residuals show with the columns `known` in the model.
-
-    It is averaged over the noise ratios, each weighted by its posterior probability.
-    """
+    """Return the noise with the columns `known` in the model, averaged over the probable noise ratios."""
     search = Search.beside(whitened, known)
     left = search.left_over(data)
     grid = whitened.grid
@@ -98,8 +90,7 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
 def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
     """Return the estimates from the rows in the mask `rows` (None: all), for a known noise.
 
-    `effects` (N, m) are the columns of the effects. The prior of each amplitude is normal, with a standard
-    deviation of `KNOWN_SIZE` times the plausible size.
+    The amplitudes of `effects` (N, m) have normal priors of `KNOWN_SIZE` plausible sizes.
     """
     extra = effects.shape[1]
     normal, right = _normal(linear, effects, noise, rows)
@@ -109,11 +100,10 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 
 
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
-    """Return the estimates with all effects found, averaged over the prior sizes of the effects.
+    """Return the estimates with all effects found, as a mixture over their prior sizes.
 
-    The readings may not determine an effect completely, for example how it is divided between mountings. The
-    uncertainty then follows from the prior, of which each size (`evidence.SIZES`) is weighted by its posterior
-    probability. Mean and covariance are those of this mixture.
+    Where readings do not determine an effect, as between mountings, u follows from the prior, of which each
+    size (`evidence.SIZES`) has its posterior probability.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -138,10 +128,7 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 
 def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
-    """Return mean (m,) and covariance (m, m) of the amplitudes, averaged over the prior sizes of each part.
-
-    `precision` (m, m) is the normal matrix of the amplitudes without a prior; `right` (m,), the right-hand side.
-    """
+    """Return mean and covariance of amplitudes over the prior sizes; `precision` (m, m) is without a prior."""
     log_weights, means, spreads = zip(
         *(
             _of_sizes(precision, right, parts, sizes)
@@ -156,10 +143,9 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return, for each part, the indices of the prior sizes (`SIZES`) over which to average.
+    """Return, for each part, the indices of the prior sizes over which to average.
 
-    If there are many parts, only the `MOST_EFFECTS` parts whose size is least certain have all indices; each
-    other part has only the index of its likeliest size.
+    Of many parts, only the `MOST_EFFECTS` least certain have all indices, each other its likeliest.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -178,9 +164,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and mean and covariance of the amplitudes for these
-    sizes.
-    """
+    """Return ln of the probability of the prior `sizes`, and mean and covariance of the amplitudes for them."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -210,11 +194,7 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
-    """Return the columns multiplied by the inverse square root of the noise covariance of their rows.
-
-    `columns` has all N rows, or only those in the mask `rows` (N,), which must contain all three channels of
-    a setting or none.
-    """
+    """Return the columns of all rows, or those in a mask of whole settings, as independent unit noise."""
     chosen = slice(None) if rows is None else rows
     relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
     white = columns / (noise.reading * relative)
@@ -275,11 +255,10 @@ FAR_BETTER: Final = 0.25
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two values that are far better known than either value.
+    """Return the sums and differences of two sizes of `variant` that are far better known than either.
 
-    `value` (p,) and `covariance` (p, p) are those of the amplitudes of the p sizes of `variant`, as multiples
-    of the plausible sizes. An example is the third mounting angle of both installations: verification points
-    determine the sum, and nothing determines the difference, which is a rotation of the block's axes.
+    `value` (p,) and `covariance` (p, p) are in plausible sizes. Example: third mounting angles of two
+    installations, whose difference is a rotation of the axes.
     """
     kinds = [candidates.kinds[column] for column in variant.sizes]
     parameters = {parameter.name: parameter for parameter in CATALOGUE[variant.family].parameters}
@@ -301,7 +280,6 @@ def known_together(
 
 
 def _place(kind: Column) -> str:
-    """Return the place of a column in words: "z", "installation 1", "z in installation 1"."""
     channel = "" if kind.channel is None else CHANNELS[kind.channel]
     mounts = f"installation {'+'.join(kind.mounts)}" if kind.mounts else ""
     return " in ".join(filter(None, (channel, mounts)))
@@ -317,9 +295,8 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` (p,) and `u` (p,) are those of the amplitudes of the p sizes of `variant`, as multiples of the
-    plausible sizes. `either_of` are the names of the effect and its ties. `effect` is by default the effect of
-    the catalogue.
+    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect` is of the
+    catalogue unless given.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)

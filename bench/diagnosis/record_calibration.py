@@ -45,10 +45,7 @@ METER_GAIN: Final = "voltmeter_gain"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty `u`.
-
-    `u_readings` is the part of `u` that the noise of the readings causes.
-    """
+    """A value with its standard uncertainty `u`; `u_readings` is the part from the noise of the readings."""
 
     value: float
     u: float
@@ -94,10 +91,7 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return the signals of m readings minus gain × reference, offset and given effects, V, shape (m, c).
-
-        The drift is not subtracted.
-        """
+        """Return signals minus gain × reference, offset and effects, V, (m, c); drift is not subtracted."""
         at, record = readings.time_s, self.record
         reference_v = numbers(readings.extra[REFERENCE_V])
         left = []
@@ -114,13 +108,11 @@ def calibrate_record(
 ) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
-    Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
-    these readings and are estimated again together with gain and offset; u includes the uncertainty of their
-    shapes (lag, width, time constant). u also includes the unknown state in which a lag begins, the slow noise and
-    the scatter of the reference (column `reference_sd_v`). `hidden` are sources of error: effects of the meters'
-    temperature (`unread_sources`), which u includes if the record lacks this temperature; errors of the gain
-    (`meter_gain_sources`), which u includes if the reference just changes linearly with time. Raises
-    `CalibrationError` if the readings cannot be evaluated, or such a reference has no source for a gain.
+    Effects with a stated u keep their values; others, found here, are estimated again. u includes shapes,
+    states in which a lag begins, slow noise and the scatter of the reference (`reference_sd_v`). Of the
+    `hidden` sources, it includes those of a temperature (`unread_sources`) that the record lacks, and those of
+    the gain (`meter_gain_sources`) for a linear reference. Raises `CalibrationError` if the readings cannot be
+    evaluated, or such a reference has no source for a gain.
     """
     record = make_record(readings)
     hidden = _acting(record, hidden)
@@ -145,10 +137,7 @@ def calibrate_record(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """An effect to estimate again: the voltages (n, c) that it adds with its values, and its forms.
-
-    `start` (n,) is as in `start_of`. The `forms` are None if its shape is known.
-    """
+    """Voltages (n, c) of an effect with its values, its `start_of`, and its forms, None for a known shape."""
 
     added_v: Floats
     start: Floats
@@ -190,10 +179,7 @@ def _widened(hidden: Sequence[ErrorSource]) -> Iterator[str]:
 
 
 def _parts(record: Record) -> Repeats | None:
-    """Return the comparison of equal parts of a record.
-
-    It is None if the record is too short, a part lacks a level or noise, or the level of the parts rises.
-    """
+    """Return the comparison of equal parts of a record; None if it is short or a part lacks level or noise."""
     if len(record) < FOLDS * LEAST or record.ramp:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
@@ -215,10 +201,9 @@ def _part(record: Record, rows: Ints) -> Record:
 
 
 def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tuple[ChannelCalibration, ...]:
-    """Return the calibration of each channel.
+    """Return the calibration of each channel with effects to estimate `again`.
 
-    `errors` (e, n, c) has, for each of e errors common to all readings, the voltages for an error of one u.
-    `again` are the effects to estimate again.
+    `errors` (e, n, c) has the voltages of one u of each of e common errors.
     """
     trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
     found = []
@@ -250,10 +235,9 @@ def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tup
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift of a `channel`.
+    """Return gain, offset and drift of a `channel` from deviation, slope and gain - 1 in `mean` (p, 1 + e).
 
-    The first column of `mean` has the deviation at the mean level, the slope in time and, for several levels,
-    gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
+    The first column of `mean` is the estimate, of covariance `spread`; others are changes by one u of an error.
     """
     several = len(mean) > 2
     has_gain = several or (abs(level) >= ZERO_V and not record.ramp)
@@ -279,12 +263,10 @@ def _channel(
 
 
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
-    """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
+    """Return least-squares estimates (p, d) over trial noises, the covariance (p, p) of the first, and its noise.
 
-    `design` (n, p) has the columns, of which the first are the trend; `targets` (n, d) has one target per
-    column. The estimates are averaged over the trial noises, weighted by their likelihood for the first target.
-    The covariance (p, p) is that of the estimates for the first target, and includes their variation between the
-    trial noises. The noise returned is the most probable one.
+    `design` (n, p) begins with the trend; `targets` (n, d). The first target gives the weights; its covariance
+    has the variation between noises. The noise is the most probable one.
     """
     count = design.shape[1]
     beside = design[:, trials.trend.shape[1] :]

@@ -32,11 +32,7 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit in which the size of a term is stated, and its plausible size.
-
-    `text` is the unit, and `si` its value in SI. `plausible` is the plausible size of a term in SI;
-    `plausible_per_k`, the plausible size of a term in proportion to temperature, SI per kelvin.
-    """
+    """The unit of the size of a term, its value in SI, and the plausible size in SI, and in SI per kelvin."""
 
     text: str
     si: float
@@ -100,10 +96,7 @@ class DictionaryTerm:
         return self.course.where if self.course is not None else ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
-        """Return the term as an effect with this name.
-
-        If `per_channel`, each channel has its own sizes; otherwise the sizes are common to all channels.
-        """
+        """Return the term as an effect with this name, whose sizes are `per_channel` or common to all."""
         sizes = SIZE_NAMES[: len(self.expressions)]
         unit = self.unit
         return FormulaEffect(
@@ -134,10 +127,9 @@ TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None,
 
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
-    """Yield each term for single channels and for all channels, with the columns of its sizes.
+    """Yield each term for single channels and for all channels, with columns (N,) of plausible sizes.
 
-    A column (N,) is the change of the rows by a plausible size. Terms of the stand or the head are yielded
-    for all channels only; terms that change no row are left out.
+    Terms of the stand or the head are for all channels; terms that change no row are left out.
     """
     terms = list(_terms(linear))
     for term, sizes in zip(terms, _columns(linear, terms), strict=True):
@@ -155,10 +147,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
 
 
 class SizeColumns(NamedTuple):
-    """The changes of the N rows by a plausible size of a term: by channel, (3, N) or (1, N), and in all, (N,).
-
-    `shown` says for each channel whether any row changes.
-    """
+    """Changes of the N rows by a plausible size, by channel and in all; `shown`: a channel changes any row."""
 
     of_channels: Floats
     of_all: Floats
@@ -169,7 +158,6 @@ WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
 def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[SizeColumns]]:
-    """Return the columns of each size of each term."""
     columns: list[list[SizeColumns]] = [[] for _ in terms]
     of_courses: dict[TimeCourse, list[Floats]] = {}
     values_of = _values_of(linear)
@@ -404,9 +392,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _frequencies(time_s: Floats) -> range:
-    """Return the possible numbers of half waves in a run; readings sample each wave at least twice per
-    period.
-    """
+    """Return the numbers of half waves in a run that are sampled at least twice per period."""
     steps = np.diff(np.unique(time_s))
     if not len(steps):
         return range(0)
@@ -415,7 +401,6 @@ def _frequencies(time_s: Floats) -> range:
 
 
 def _between(time_s: Floats) -> Floats:
-    """Return the times midway between consecutive readings."""
     ordered = np.unique(time_s)
     return (ordered[1:] + ordered[:-1]) / 2
 

@@ -28,11 +28,9 @@ UNNAMED_FORM: Final = "unnamed_form"
 
 @dataclass(frozen=True)
 class UnexplainedScatter:
-    """Scatter about the model that exceeds the noise of repeats: a standard deviation, unit of the signal.
+    """Scatter about the model beyond that of repeats, 1 sigma, unit of the signal, with `u` and p-value.
 
-    `value` is its estimate, `u` its standard uncertainty, `upper` its upper 95 % limit, and `p` the
-    probability that chance gives at least this much. `u` and `upper` are infinite if all readings are
-    repeats.
+    `upper` is its 95 % limit; it and `u` are infinite if all readings are repeats.
     """
 
     value: float
@@ -110,10 +108,7 @@ class FreeForm:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms as effects with their values, to be added to the model.
-
-        Empty if named effects explain the same, or if the terms do not predict held-out readings.
-        """
+        """The terms with values, to be added to the model, if they predict and no name explains the same."""
         return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
 
@@ -126,10 +121,9 @@ def describe(
     repeats: Repeats,
     instead_of: tuple[str, ...] = (),
 ) -> FreeForm:
-    """Return the description of what the catalogue does not explain, from the terms among the effects found.
+    """Return the description of what the catalogue does not explain, from the terms among the finds.
 
-    `noise` is the noise about the model with all effects found; `gap`, the gap of these effects on held-out
-    readings; `repeats`, the noise of repeats.
+    `noise` and `gap` are those of the model with all finds; `repeats` is the noise of repeats.
     """
     columns = candidates.columns[:, list(naming.columns)]
     scatter = larger_scatter(linear, residuals(linear, columns, noise))

@@ -70,10 +70,7 @@ class Registration:
 
 
 def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
-    """Return the settings of the diagnosis of these readings, with their hash.
-
-    `limit` is the threshold of the search.
-    """
+    """Return the settings of the diagnosis of these readings, with their hash; `limit` is the threshold."""
     settled = Registration(
         sha256="",
         unnamed=candidates.UNNAMED,
@@ -282,11 +279,7 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield a sentence on the temperature at which the coefficients hold, if any effect depends on
-    temperature.
-
-    `found` are the effects in the model.
-    """
+    """Yield a sentence on the temperature at which coefficients hold, if an effect `found` depends on it."""
     names = [effect.name for effect in found if _of_temperature(effect)]
     if names:
         yield message(
@@ -301,11 +294,7 @@ def _of_temperature(effect: Effect) -> bool:
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched.
-
-    The reasons are effects that failed to load, an orientation that contradicts the bench file, readings without
-    times or temperatures, and signals that are not in volts.
-    """
+    """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched."""
     readings = linear.readings
     yield from (message(f"not searched: {trouble}") for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:

@@ -72,10 +72,9 @@ class Prepared:
         return self.whitened.candidates
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise, up to a constant, with as many effects as `naming` has.
+        """Return ln of the evidence of this noise with the finds of `naming`, up to a constant.
 
-        The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
-        the names.
+        That of each find is averaged over all families, so that the noise does not depend on the names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -90,11 +89,10 @@ Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
-    """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
+    """Return the readings with the noise hypothesis of the largest evidence, and the finds with it.
 
-    `again` searches a system with another noise. If no hypothesis is better, `prepared` and `naming` are returned
-    unchanged. They are also returned if repeats share a rounding error, because repeats then do not show the
-    noise.
+    `again` searches with another noise. Nothing changes if none is better, or if repeats share a rounding
+    error, because they then do not show the noise.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -132,10 +130,9 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear` with the kind of noise of `prepared`, a system of the same readings.
+    """Return `linear`, of perhaps another model, with the kind of noise of `prepared`, of the same readings.
 
-    The two systems may differ in their models. With several blocks, whose rows are in another order, `linear`
-    gets only the noise by channel and by run.
+    With several blocks, whose rows are in another order, it gets only the noise by channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -181,10 +178,7 @@ class SearchTask:
         return replace(repeats, sigma=min(repeats.sigma, most))
 
     def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
-        """Return the whitened candidates, and their scalar products with the residuals.
-
-        `sigma` is a first estimate of the noise of a reading.
-        """
+        """Return whitened candidates and products with the residuals; `sigma` is a first noise estimate."""
         whitened = Whitened.of(self.grid(linear, sigma), candidates)
         return whitened, whitened.reduce(linear.response[:, None])
 
@@ -194,10 +188,9 @@ class SearchTask:
 
 
 def find_effects(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
-    """Return readings of one or several runs prepared for the search, and the effects found in them.
+    """Return readings of one or several runs prepared for the search, and the effects found.
 
-    The noise hypothesis is chosen by evidence (`choose_noise`). Raises `CalibrationError` if the readings do not
-    determine the coefficients.
+    Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     several = bool(readings.run.any())
 
@@ -236,11 +229,7 @@ def _prepared(
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Return the effects still found if the largest one in `naming` may have parts of other shapes.
-
-    If its true shape lies between two shapes of the catalogue's grid, it leaves residuals that other effects
-    would explain.
-    """
+    """Return the finds that remain if the largest may have parts of other shapes, as between two of a grid."""
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
         return naming
@@ -337,10 +326,10 @@ class _Run:
 
 
 def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return the readings with the finds of single runs among the candidates, and the finds in all and single runs.
+    """Return the readings with single-run finds among the candidates, and all finds.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
-    in the model, common effects are searched, and then further effects of single runs.
+    Effects of a few single runs, which could pass for common ones, are searched first, then common effects,
+    then further ones of single runs.
     """
     linear, whitened, data, limit = prepared.linear, prepared.whitened, prepared.data, prepared.limit
     response = linear.response[:, None]
@@ -377,9 +366,7 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
-    its form.
-    """
+    """Return whether a single-run find is likely given all others, or `naming` no longer has its form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -399,11 +386,10 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds added, and these finds.
+    """Return the candidates with the single-run finds added, and these finds, beside `in_all` (N,).
 
-    `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
-    for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,
-    so that a different zero or scale factor is no find here.
+    The threshold of the first run serves for all. As coefficients are free in every run, a different zero is no
+    find.
     """
     found: list[FoundEffect] = []
     for run in runs:

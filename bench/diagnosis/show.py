@@ -87,10 +87,7 @@ class CoefficientChange:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Simulations with the given model (`before`), and with the effects found added to it (`after`).
-
-    `after` is None if no effect was added.
-    """
+    """Simulations with the given model (`before`), and with the finds added (`after`; None without any)."""
 
     before: Simulation
     after: Simulation | None
@@ -137,20 +134,15 @@ def show(
 
 
 def label(applied: AppliedEffect) -> str:
-    """Return the name of an effect with the channels it acts in: "quadratic_nonlinearity[y]".
-
-    If it has no parameter for single channels, the name alone is returned.
-    """
+    """Return the name of an effect, with its channels if its values differ: "quadratic_nonlinearity[y]"."""
     of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
     return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value of a model that the readings contradict at the level `HARDLY_EVER`.
+    """Yield a sentence for each value `stated` by a model that its new estimate contradicts.
 
-    `stated` are the effects of the model with their u; `estimated` are the same effects, estimated again with
-    these readings. The difference of the two values is compared with the root of the difference of their
-    variances.
+    The level is `HARDLY_EVER`; the u of the difference is the root of the difference of the variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:
@@ -244,7 +236,6 @@ def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
 
 
 def _u_of(index: int, problem: Problem, fit: gls.Fit) -> dict[str, Floats]:
-    """Return standard uncertainties of the parameters of one effect, SI."""
     u: dict[str, Floats] = {}
     sizes = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
     for unknown, size in zip(problem.effects, sizes, strict=True):
@@ -276,9 +267,7 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
 
 
 def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
-    """Return |a| - 1 at the verification points, computed with the effects; u includes the u of all
-    estimates.
-    """
+    """Return |a| - 1 at the verification points with the effects; u includes that of all estimates."""
     chosen = readings.installation == VERIFICATION
     rows = readings.select(chosen)
     if not len(rows):

@@ -22,10 +22,9 @@ from bench.readings.table import VERIFICATION
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
-    """Return, for each effect of the catalogue, the size that the search finds in half of all runs.
+    """Return the size of each effect that half of all runs find, in plausible sizes, for its best form.
 
-    The size is a multiple of the plausible size, for the form of the effect that shows best; it is infinite if no
-    size is ever found. `ratio` is the index of the noise ratio.
+    It is infinite if no size is ever found; `ratio` is the index of the noise ratio.
     """
     variants = whitened.candidates.variants
     square = dict.fromkeys(CATALOGUE, 0.0)
@@ -41,8 +40,7 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
 def half_power(whitened: Whitened, threshold: float) -> float:
     """Return the signal-to-noise ratio rho at which half of all runs find an effect of one parameter.
 
-    At this rho, ln of the evidence equals the `threshold`. This logarithm is about rho^2/2 minus a cost for the
-    number of parameters, forms and families.
+    ln of the evidence, about rho^2/2 minus a cost of parameters, forms and families, then equals `threshold`.
     """
     looks = np.log(len(whitened.candidates.families)) + 1.5
     return float(np.sqrt(2.0 * max(threshold + looks + 2.0, 1.0)))
@@ -50,10 +48,9 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The size of several parameters of one unit, in any proportions, that is found in half of all runs.
+    """The root of the sum of squares of parameters of a `unit` that is found in half of all runs.
 
-    `size` is the root of the sum of the parameters' squares, in `unit`. If `part`, this holds for some
-    proportions only; in other proportions no credible size would be found.
+    If `part`, some proportions of the parameters show at no credible size.
     """
 
     parameters: tuple[str, ...]
@@ -63,11 +60,9 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return, for each effect with several parameters of size, the size found in half of all runs.
+    """Return, for effects with several parameters of size, the size found in half of all runs, by unit.
 
-    There is an entry for each unit of the parameters. It is for the channel, mounting and shape that show best,
-    and for the proportions of the parameters (such as the phase of a wave) that show worst. `ratio` is the index
-    of the noise ratio.
+    It is for the best channel, mounting and shape, and the worst proportions (such as the phase of a wave).
     """
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
@@ -110,11 +105,10 @@ def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smalles
 def hidden(
     whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects of the catalogue that these readings could not show, wholly or in part.
+    """Return the effects that these readings could not show, each with the hidden parts; empty: wholly.
 
-    Each name is mapped to the parts that the readings do not show, or to an empty tuple if they do not show the
-    effect at all. A part is one phase of a wave. `sizes` are the result of `detectable`; `ratio` is the index of
-    the noise ratio.
+    A part is one phase of a wave. `sizes` are the result of `detectable`; `ratio` is the index of the noise
+    ratio.
     """
     candidates = whitened.candidates
     seen = (
@@ -139,10 +133,7 @@ def hidden(
 
 
 class EffectPart(NamedTuple):
-    """One parameter of an effect at its plausible size, in one channel (None: all), in some mountings.
-
-    `shape` has the values of the shape parameters in SI; no `mounts` means all mountings.
-    """
+    """One parameter at its plausible size, in a channel and mountings (None, empty: all), for a `shape` in SI."""
 
     family: str
     parameter: str
@@ -167,10 +158,7 @@ def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
 
 
 def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:
-    """Return a form for each shape of an effect, in all channels at once.
-
-    The effect acts in the mountings `mounts`, by default in all.
-    """
+    """Return a form for each shape of an effect, in all channels and in `mounts` (empty: all)."""
     parameters = CATALOGUE[family].parameters
     grids = [[(p.name, value) for value in p.grid] for p in parameters if p.grid]
     return tuple(
@@ -185,10 +173,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
 
 
 class ReadingDesign:
-    """Readings, measured or planned, in which two explanations are compared.
-
-    `others` are effects in the model besides the explanations compared; their sizes have a wide prior.
-    """
+    """Readings, measured or planned, in which two explanations are compared beside `others`, of wide prior."""
 
     def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
         self.linear = linear
@@ -198,10 +183,9 @@ class ReadingDesign:
         self._known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
-        """Add, for each mounting not in `before`, an unknown error of the mounting, of plausible size.
+        """Add, for each mounting not in `before`, an unknown error of plausible size of `families`.
 
-        Of the effects `families`, only those are added that differ from mounting to mounting and do not
-        outlast a remount: the error of one mounting says nothing about the next. Call it before `seen`.
+        Only effects that differ between mountings count. Call it before `seen`.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -234,10 +218,7 @@ class ReadingDesign:
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:
-        """Return a column for each part of a form, in units of the noise, free unknowns projected out.
-
-        It is the change of the rows, before projection, if the part has its plausible size.
-        """
+        """Return the changes by each part of a form in units of the noise, free unknowns projected out."""
         new = [part for part in dict.fromkeys(form) if part not in self._seen]
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
@@ -245,11 +226,7 @@ class ReadingDesign:
         return np.array([self._seen[part] for part in form]).T
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return the divergence D between an effect, with its values `found`, and the rival form most like
-        it.
-
-        D is the expected value of ln of the odds of the effect against that form if the effect is true.
-        """
+        """Return the divergence D of an effect `found`, expected ln of odds, from the most similar rival."""
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
@@ -261,9 +238,5 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of an effect of plausible size, in the one of its forms that shows best.
-
-        The ratio is the norm of the change that the effect makes in the readings, in units of their noise, after
-        the part that free unknowns can absorb is removed.
-        """
+        """Return the norm of a plausible size, in noise, that free unknowns leave, in the best of `forms`."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)

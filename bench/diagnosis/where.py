@@ -55,8 +55,8 @@ def find_places(
 ) -> tuple[ResidualPattern, ...]:
     """Return the significant patterns of the residuals, the largest first, at most `LISTED`.
 
-    `ratio` is the index of the noise ratio in `grid`. `sigma` is the noise of a reading from repeats, with
-    `freedom` degrees of freedom. p-values are corrected for the number of patterns tried.
+    `ratio` is the index of the noise ratio; `sigma`, the noise from repeats with `freedom`. p-values count all
+    patterns.
     """
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
@@ -196,11 +196,10 @@ class FarReading:
 
 
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
-    """Return the readings that are far from the final model, the farthest first.
+    """Return the readings that are far from the model with the columns `effects` (N, m), farthest first.
 
-    `effects` (N, m) are the columns of the effects in this model. The distances are deletion residuals in
-    units of the noise of the channel: each reading is compared with the model fitted without this reading.
-    Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 2.2.
+    Distances are deletion residuals: Cook and Weisberg, Residuals and Influence in Regression, 1982, section
+    2.2.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)
@@ -233,11 +232,9 @@ _CHANNEL: Final = (*CHANNELS, "modulus")
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the numbers of periods per turn that are indistinguishable from `order` at the angles (n,).
+    """Return the periods per turn, up to one per mark, indistinguishable from `order` at the angles (n,).
 
-    Order 0 is a constant: a wave that equals a constant at these angles is absorbed by the coefficients. Angles
-    that differ by less than 0.1 deg, or by whole turns, count as one. A period per mark (`MARK_DEG`) is the last
-    that is considered.
+    Order 0 is a constant, which the coefficients absorb. Angles within 0.1 deg, or whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
