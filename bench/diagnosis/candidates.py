@@ -102,12 +102,10 @@ class Column(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One form that a family may take: in which channels and mountings it acts, and with which shape.
+    """One form that a family may take: channels and mountings in which it acts, and its shape (names, SI).
 
-    `columns` are the indices of the variant's columns in `Candidates.columns`. The last `starts` of them are
-    starting states of mountings (`Parameter.start_of`); the others are `sizes`. `shape` has the name and the SI
-    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
-    its formula, if it has one.
+    `columns` are indices in `Candidates.columns`; the last `starts` are starting states (`Parameter.start_of`),
+    the others `sizes`. For an unnamed family, `where` says where it acts, and `term` is its formula, if any.
     """
 
     family: str
@@ -139,12 +137,9 @@ class Variant(NamedTuple):
 class Candidates:
     """All variants that the search compares, with the columns that they need.
 
-    `columns` (N, P): each column is the change of the N rows of the linear system by a parameter of plausible
-    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's
-    parameter in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the
-    indices of all variants, sorted by family; those of family number f begin at
-    `by_family[family_starts[f]]`. `log_prior` (families,) is ln of the probability that a family is missing,
-    given that exactly one is.
+    `columns` (N, P) are changes of the rows by plausible sizes, of `kinds`, and `scale` (P,) these sizes in SI,
+    1 for unnamed families. `by_family` are the indices of the variants by family, from `family_starts`;
+    `log_prior` (families,) is ln of the probability that a family is the one that is missing.
     """
 
     columns: Floats
@@ -487,11 +482,9 @@ OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 @dataclass(frozen=True)
 class KnownBench:
-    """Properties of a bench that exclude some effects; None where a property is unknown.
+    """Properties of a bench that exclude effects (None: unknown): a meter for each channel, fixed ranges.
 
-    `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
-    `scale_on_axis`: the scale of the dividing head is on the axis that turns the block, without a gear
-    between them.
+    `scale_on_axis`: the scale of the head is on the axis of the block, without a gear.
     """
 
     own_meters: bool | None = None

@@ -41,10 +41,9 @@ Word = Literal["confirmed", "changed", "gone"]
 
 @dataclass(frozen=True)
 class Model:
-    """The quality of one fit: reduced chi-square and root mean square of the residuals.
+    """Reduced chi-square, root mean square of the residuals, and that of noise alone, of one fit.
 
-    `expected_rms_g` is the root mean square that noise alone would give. For records at a known input, both
-    root mean squares are in V in spite of their names (`Confirmation.unit`).
+    The last two are in V for records at a known input (`Confirmation.unit`).
     """
 
     reduced: float
@@ -54,11 +53,10 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """One effect of the model, compared with the new readings.
+    """One effect of the model, compared with the new readings, which may not show it (`verdict` None).
 
-    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the hypothesis
-    that the values have not changed; `p_none`, the p-value of the hypothesis that there is no effect. `found` are
-    the values in the model; `now`, the values estimated from the new readings alone.
+    `p_same` and `p_none` are the p-values of unchanged values and of no effect; `found` and `now`, the values
+    in the model and those of the new readings alone.
     """
 
     applied: AppliedEffect
@@ -71,12 +69,10 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The result of a confirmation: fits of the new readings, `before` without the effects, `after` with them.
+    """The result of a confirmation: fits of new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the probability that noise alone gives at least the chi-square of the fit with the effects.
-    `effects` has the verdict on each effect. `diagnosis` is the diagnosis of the new readings with the model: a
-    `FreeDiagnosis` if they are free positions only, a `RecordDiagnosis` for a record at a known input. Root mean
-    squares are in `unit`.
+    `p_after` is the p-value of the chi-square with the effects; `effects` has their verdicts; `diagnosis` is
+    that of the new readings with the model. Root mean squares are in `unit`.
     """
 
     before: Model
@@ -248,12 +244,10 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """The m parameters of a model's effects: their values in the model, and how these change in the new readings.
+    """The m parameters of a model's effects, and how they change in the new readings.
 
-    `plausible` (m,) is the plausible size of each parameter in SI; the other arrays are multiples of it. `found`
-    (m,) and `u` (m,) are the value and the standard uncertainty in the model. `change` (m,) is the estimate from
-    the new readings minus `found`. `covariance` (m, m) is the covariance of the estimate from the new readings;
-    `u` is not part of it.
+    `plausible` (m,) is in SI, the others are multiples of it: `found` and `u` in the model, `change` to the new
+    estimate, and its `covariance` (m, m), without `u`.
     """
 
     plausible: Floats

@@ -116,11 +116,10 @@ class Whitened:
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with the same number p of columns, from which the known columns are projected out.
+    """The variants with p columns, from whose Gram matrices the known columns are projected out.
 
-    `members` (variants,) are the indices of the variants; `columns` (variants, p), the indices of their columns.
-    The Gram matrix of each variant's projected columns has the eigenvectors `vectors` (ratios, variants, p, p)
-    and the eigenvalues `values` (ratios, variants, p).
+    These have the eigenvectors `vectors` (ratios, v, p, p) and `values` (ratios, v, p); `members` (v,) and
+    `columns` (v, p) are indices.
     """
 
     members: Ints
@@ -140,10 +139,9 @@ class Group:
 class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
-    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
-    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
-    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is the part of ln
-    of the evidence that depends on the known columns, but not on the data.
+    `inverse` (ratios, k, k) is the inverse Cholesky factor of their Gram matrix with the prior (`KNOWN_SIZE`),
+    `half` (ratios, k, P) its product with the scalar products of all columns, `log_det` (ratios,) their part of
+    ln of the evidence.
     """
 
     whitened: Whitened
@@ -300,12 +298,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 
 @dataclass(frozen=True)
 class Threshold:
-    """The least evidence that counts as a finding, and the probability that chance exceeds it.
+    """The least evidence that counts as a finding, which a complete model exceeds with `probability`.
 
-    The evidence is ln of the odds that the model lacks some effect. If the model is complete, the evidence
-    still exceeds `value` by chance, with `probability`. The upper tail of these chance values is exponential:
-    they exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
-    `decay`). `nulls` is the number of simulated data sets from which the tail was determined.
+    It is ln of the odds that an effect is missing. By chance it exceeds `start` plus x with probability
+    `p_start` exp(-x / `decay`), determined from `nulls` simulated data sets.
     """
 
     value: float
@@ -372,9 +368,8 @@ def fit_tail(evidence: Floats) -> Threshold:
 class ThresholdCache:
     """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    The name of a file is a hash of all that the threshold depends on: angles (rounded to 1 arcmin), times (10
-    s), temperatures (0.01 K), directions, mountings, passes, the limits of the stand, the scale of the block
-    and the noise (10 %), the catalogue and the priors.
+    Its name is a hash of all that a threshold depends on: angles (to 1 arcmin), times (10 s), temperatures
+    (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
     """
 
     folder: Path | None

@@ -48,7 +48,7 @@ from bench.diagnosis.pipeline import effects_of, verdict_of
 from bench.diagnosis.posterior import NoiseSize, Posterior, fit_found, noise_size, posterior
 from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect
-from bench.diagnosis.where import ResidualPattern, far_readings
+from bench.diagnosis.visibility import ResidualPattern, far_readings
 from bench.model.effects import CATALOGUE, Effect
 from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel

@@ -48,10 +48,8 @@ SCALES: Final = (0, 3, 5)
 class FreeRows:
     """All N free positions of all sensors, one row each, sorted by sensor.
 
-    `tables` has, for each sensor, the positions of all records together; `block` has, for each sensor, the
-    coefficients that fit them best. `sensor` (N,) is the index of each row's sensor; `record` (N,), the index of
-    its record. `origin` (N, 2) tells where each row was read: the index of the given table, and the row in that
-    table. `effects` are the effects of the given model.
+    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them; `sensor` and
+    `record` (N,) are indices; `origin` (N, 2) is the given table and row; `effects` are those of the model.
     """
 
     tables: tuple[Readings, ...]
@@ -111,9 +109,8 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The effects of the given model are subtracted from the response, and the `random` columns estimate them
-    again. In place of mountings, an effect names the sensors on which it acts ("sensor 1"); an effect that
-    names none acts on all sensors.
+    The model's effects are subtracted and estimated again by `random` columns. In place of mountings, an effect
+    names sensors ("sensor 1"), or none for all.
     """
 
     positions: FreeRows
@@ -264,7 +261,12 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     """Return the index of the sensor of each table, by its coefficients; a record has a sensor only once."""
     if len(tables) == 1 or one_sensor is not None:
         return [0 if one_sensor or len(tables) == 1 else i for i in range(len(tables))]
-    features = np.stack([_feature(table) for table in tables])
+    own, _, zero = OTHER_BLOCK
+    blocks = [fit_sensor(table.signal) for table in tables]
+    scales = [np.diag(block.K) for block in blocks]
+    features = np.stack(
+        [np.append(np.log(np.abs(s)) / own, b.U0 / s / zero) for b, s in zip(blocks, scales, strict=True)]
+    )
     groups = [[i for i, r in enumerate(records) if r == number] for number in dict.fromkeys(records)]
     groups.sort(key=len, reverse=True)
     known = [[i] for i in groups[0]]
@@ -286,21 +288,13 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     return [sensors[i] for i in range(len(tables))]
 
 
-def _feature(table: Readings) -> Floats:
-    block, (own, _, zero) = fit_sensor(table.signal), OTHER_BLOCK
-    scale = np.diag(block.K)
-    return np.concatenate([np.log(np.abs(scale)) / own, block.U0 / scale / zero])
-
-
 @dataclass(frozen=True)
 class BetweenRecords:
     """The changes of biases between records of free positions; each record has a fit of its own.
 
-    `zero` (sensors, records, 3) are the biases in g, and `u` (sensors, records, 3) their standard uncertainties;
-    both are NaN where a record does not determine the bias. `scatter` (3,) is the standard deviation of the
-    biases about the mean of their sensor, in g. `common` (3,) is the fraction of this variance that all sensors
-    share, NaN if there is one sensor. `repeats` compares the scatter with u; if u is too small, it has the term
-    that widens u.
+    `zero` and `u` (sensors, records, 3), g, are NaN where not determined; `scatter` (3,), g, is about the mean
+    of a sensor, `common` (3,) the fraction of its variance that sensors share. `repeats` compares scatter and
+    u, and has the term that widens u.
     """
 
     zero: Floats
@@ -411,11 +405,9 @@ class FreeFit:
 class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
-    `noise` is the estimated noise of |a| at a position, g, when the model has all effects found. `stated_g` is
-    the noise expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a sentence
-    for each of the k positions left out; `left_out` (k, 2) has the table and the row of each. `before` is the fit
-    with the given model; `after`, the fit with the effects found as well. `between` describes the changes between
-    records, None if unknown.
+    `noise` of |a|, g, is with all finds, `stated_g` from the samples (or NaN). `apart` has a sentence,
+    `left_out` (k, 2) table and row of positions left out. `before` and `after` are fits without and with the
+    finds; `between` has the changes between records.
     """
 
     source: str

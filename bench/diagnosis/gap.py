@@ -42,9 +42,8 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 class HeldOut:
     """How well one model predicts the held-out rows, after a fit to all other rows.
 
-    `error` (n,) is measured minus predicted in the unit of the signal; `error_g` (n,) is the same in g.
-    `expected_g` (n,) is the standard deviation of `error_g` that the noise and the uncertainty of all estimates
-    imply. `chi2` is the chi-square of the errors, computed with their full covariance.
+    `error` (n,) is measured minus predicted, unit of the signal, `error_g` in g; `expected_g` is its standard
+    deviation by noise and estimates; `chi2` has their full covariance.
     """
 
     error: Floats
@@ -75,9 +74,8 @@ class Fold:
 class Gap:
     """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the names of the effects that the search of all readings found. `undetermined` are the labels of
-    the sets that could not be held out, because the remaining readings do not determine the coefficients. `noise`
-    is the noise with which chi-square is computed.
+    `named` are the finds of all readings; `undetermined` are sets without which the coefficients are not
+    determined; chi-square is in units of `noise`.
     """
 
     folds: tuple[Fold, ...]

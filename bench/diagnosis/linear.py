@@ -28,11 +28,9 @@ LEAST_APART: Final = 0.05
 
 @dataclass(frozen=True)
 class Orientation:
-    """The orientation of the block at the verification points, estimated from the signals.
+    """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
-    `block_from_platform` (3, 3) is the rotation matrix from platform to block axes. It differs from the
-    orientation in the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
-    `contradicts` says whether this angle is significant.
+    It differs from the bench file by `off_rad` about `axis` (3,) in block axes; `contradicts`: significantly.
     """
 
     block_from_platform: Floats
@@ -73,14 +71,6 @@ def orientation_of(
     off = float(np.linalg.norm(rotation))
     limits = float(np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES]))
     return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_DIRECTION, FAR * limits))
-
-
-def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
-    """Return the model with the measured orientation of installation V if that contradicts the bench file."""
-    if orientation is None or not orientation.contradicts:
-        return model
-    measured = Installation(VERIFICATION, orientation.block_from_platform)
-    return replace(model, installations={**model.installations, VERIFICATION: measured})
 
 
 MODULUS: Final = 3
@@ -304,12 +294,9 @@ class LinearSystem:
 class View:
     """The conversion of changes of the signals of n readings to changes of the N rows of the system.
 
-    `conditions` are those of all readings in the order of measurement, as effects may depend on earlier readings.
-    Where it is not NaN, `force` (n, 3), in g, replaces the specific force that the installation implies, and
-    `voltage_v` (n, 3) replaces the output of the block. `settings` are the indices of the readings in an
-    orientation; `moduli`, of the readings of which only the modulus is used; `inputs`, of the readings of a
-    shorted or reference input. `by_signal` (moduli, 3) is, for each modulus, the unit vector along the gradient
-    of |a| with respect to the signals.
+    `conditions` are of all readings, as effects may need earlier ones. If not NaN, `force` (n, 3), g, replaces
+    that of the installation, and `voltage_v` (n, 3) the output of the block. `settings`, `moduli` and `inputs`
+    are indices of readings; `by_signal` (moduli, 3) is the unit gradient of |a|.
     """
 
     conditions: Conditions
@@ -355,7 +342,9 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     problem = make_problem(model, table.conditions(), stand_u)
     block = first_guess(problem, table.signal)
     orientation = orientation_of(model, readings, block.specific_force(readings.signal), stand_u)
-    model = as_measured(model, orientation)
+    if orientation is not None and orientation.contradicts:
+        measured = Installation(VERIFICATION, orientation.block_from_platform)
+        model = replace(model, installations={**model.installations, VERIFICATION: measured})
     problem = replace(problem, model=model)
 
     force, by_signal, weight = _modulus(block, readings.signal[moduli])

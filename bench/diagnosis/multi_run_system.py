@@ -43,10 +43,9 @@ OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The joint linear system of several accelerometer blocks on one bench.
+    """The joint linear system of several accelerometer blocks on one bench, of their systems `parts`.
 
-    `parts` are the systems of the blocks; the rows of the joint system are theirs, in this order. `block` is the
-    first guess of the first block. Each block has its own coefficients; unknowns of the bench are common.
+    Rows follow these; blocks have own coefficients and share unknowns of the bench; `block` is the first.
     """
 
     parts: tuple[LinearSystem, ...]
@@ -88,8 +87,9 @@ def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     """Return the linear system of readings of one or several blocks; else as `make_linear`."""
     if readings.block is None:
         return make_linear(readings, model, stand_u)
-    tables = [np.flatnonzero(readings.block == number) for number in np.unique(readings.block)]
-    parts = [make_linear(_rows_of(readings, rows), model, stand_u) for rows in tables]
+    masks = [readings.block == number for number in np.unique(readings.block)]
+    tables = [np.flatnonzero(mask) for mask in masks]
+    parts = [make_linear(replace(readings.select(mask), block=None), model, stand_u) for mask in masks]
     starts = np.cumsum([0, *(part.settings for part in parts)])
     own = [_random_of(part, stand_u) for part in parts]
     shared = np.concatenate([shared for shared, _ in own])
@@ -118,12 +118,6 @@ def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
         ),
         parts=tuple(parts),
     )
-
-
-def _rows_of(readings: Readings, rows: Ints) -> Readings:
-    chosen = np.zeros(len(readings), dtype=bool)
-    chosen[rows] = True
-    return replace(readings.select(chosen), block=None)
 
 
 def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats, Floats]:
@@ -196,7 +190,8 @@ def find_mistakes_in_each(
 ) -> MistakeSearch:
     """Return the mistakes in several runs, each searched by itself, and a copy; else as `find_mistakes`.
 
-    `nominal` is (3,) or (blocks, 3). Runs share the probability of a false alarm, and multiply p-values.
+    `nominal` is (3,) or (blocks, 3). Runs share the probability of a false alarm; their number multiplies
+    p-values.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():
@@ -209,10 +204,11 @@ def find_mistakes_in_each(
     if not any(one.mistakes for one in found):
         return MistakeSearch((), readings)
     corrected = stacked([one.corrected for one in found])
+    skipped = dict.fromkeys([*readings.skipped, *(row for one in found for row in one.corrected.skipped)])
     return MistakeSearch(
         tuple(_of_run(mistake, readings.select(rows), len(parts))
               for one, (rows, _) in zip(found, parts, strict=True) for mistake in one.mistakes),
-        replace(corrected, source=readings.source, notes=readings.notes, skipped=_skipped(found, readings)),
+        replace(corrected, source=readings.source, notes=readings.notes, skipped=tuple(skipped)),
     )  # fmt: skip
 
 
@@ -240,10 +236,6 @@ def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
     labels = tuple(str(mount) for mount in run.oriented().conditions().mounts)
     series = ", ".join(str(number) for number in np.unique(run.series))
     return replace(mistake, p=p, installations=labels, words=f"series {series}: {mistake.words}")
-
-
-def _skipped(found: list[MistakeSearch], readings: Readings) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([*readings.skipped, *(row for one in found for row in one.corrected.skipped)]))
 
 
 OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_drift")
@@ -302,7 +294,9 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
     rows, readings = collector.linear.rows, collector.linear.readings
-    add_free_patterns(collector, unit, _visit(readings))
+    series, run = readings.series, readings.run
+    # visits are counted from 1 in each run
+    add_free_patterns(collector, unit, series + 1 - [series[run == number].min() for number in run])
     phase = elapsed_part(readings.conditions().elapsed_s, readings.run)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
@@ -331,12 +325,6 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
         for channels in SUBSETS:
             columns_of = tuple(i for channel in channels for i in places[channel])
             collector.variants.append(Variant(family, columns_of, channels))
-
-
-def _visit(readings: Readings) -> Ints:
-    """Return the number of the visit (series) of each reading within its run, counted from 1."""
-    series, run = readings.series, readings.run
-    return np.asarray(series + 1 - [series[run == number].min() for number in run])
 
 
 def elapsed_part(time_s: Floats, run: Ints) -> Floats:

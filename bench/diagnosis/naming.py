@@ -12,15 +12,7 @@ from scipy.special import logsumexp, softmax
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
-from bench.diagnosis.evidence import (
-    BEYOND_BELIEF,
-    KNOWN_SIZE,
-    Data,
-    Scores,
-    Search,
-    Threshold,
-    Whitened,
-)
+from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
 from bench.model.effects import CATALOGUE
 
@@ -45,12 +37,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family against its absence, given all other effects found. `total`
-    is ln of the odds that some family is missing in a model without this effect. `size` is the root of the
-    decrease of chi-square when the effect joins the model. `odds` are the families that are most probable in its
-    place, with their posterior probabilities. `ties` are other families that the readings do not exclude; `same`
-    are the ties that change these readings in the same way. `plainer_than` are families of the same subsystem
-    that include this one as a special case and need more parameters.
+    `evidence` is ln of the Bayes factor of its family beside all other finds, `total` ln of the odds that a
+    family is missing without it, `size` the root of the decrease of chi-square. `odds` are of families in its
+    place, of which `ties` are not excluded and `same` change the readings alike; `plainer_than` include it with
+    more parameters.
     """
 
     variant: Variant
@@ -301,7 +291,8 @@ def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> Fo
     explained = scored.explained(plain)
     aliases = _aliases(scored, plain, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
     fewest = min(len(plain.columns), aliases.pop(family, len(plain.columns)))
-    plainer = [f for f, rank in aliases.items() if rank > fewest and _subsystem(f) == _subsystem(family)]
+    larger = [f for f, rank in aliases.items() if rank > fewest]
+    plainer = [f for f in larger if CATALOGUE[f].subsystem is CATALOGUE[family].subsystem]
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
     shape = scored.likeliest(family).plain
@@ -363,10 +354,6 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
-
-
-def _subsystem(family: str) -> object:
-    return CATALOGUE[family].subsystem if family in CATALOGUE else None
 
 
 def same_signature(naming: Naming) -> Iterator[str]:

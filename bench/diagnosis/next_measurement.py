@@ -122,11 +122,6 @@ def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, li
     return both if first.began_s is not None else replace(both, began_s=None)
 
 
-def reads_inputs(plan: Plan) -> bool:
-    """Return whether a plan reads a shorted or a reference input; such signals are in volts."""
-    return any(isinstance(s, Read) and s.installation in UNORIENTED for s in plan.steps)
-
-
 MENU: Final = (
     "verification", "calibration", "inputs", "return", "turn-12", "remount-180", "remount-90", "discerning",
     "turn-24",
@@ -285,6 +280,7 @@ class _Bill:
         self.plans = dict(self._possible(menu))
 
     def _possible(self, menu: Sequence[Path]) -> Iterator[tuple[Path, Plan]]:
+        in_volts = self._diagnosis.linear.readings.unit == "V"
         for path in menu:
             procedure = _loaded(path, path.stat().st_mtime_ns)
             problems = check(procedure.plan, self._bench)
@@ -292,7 +288,9 @@ class _Bill:
                 self.left_out[procedure.name] = problems[0]
             elif len(procedure.files) > 1:
                 self.left_out[procedure.name] = "it includes other files"
-            elif reads_inputs(procedure.plan) and self._diagnosis.linear.readings.unit != "V":
+            elif not in_volts and any(
+                isinstance(s, Read) and s.installation in UNORIENTED for s in procedure.plan.steps
+            ):
                 self.left_out[procedure.name] = "it reads voltages, and the readings are in another unit"
             else:
                 yield path, procedure.plan

@@ -42,11 +42,9 @@ RATIO_SPREAD: Final = 1.0
 
 @dataclass(frozen=True)
 class Span:
-    """A subspace in n of the rows that a fit absorbs: that of coefficients, or of unknowns with a prior.
+    """A subspace in n of the rows that a fit absorbs: `rows` indices (n,), orthonormal `basis` (n, k).
 
-    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace.
-    `kept` (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0
-    for coefficients, which have no prior.
+    `kept` (k,) is the fraction that remains because of a prior: 0 for coefficients.
     """
 
     rows: slice | Ints
@@ -356,11 +354,7 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class Repeats:
-    """The noise of a reading, estimated from repeated settings of the head.
-
-    `sigma` is its standard deviation in the unit of the signal; `freedom` are its degrees of freedom, counted
-    in settings.
-    """
+    """The standard deviation of a reading from repeated settings, unit of the signal; freedom in settings."""
 
     sigma: float
     freedom: int

@@ -46,10 +46,9 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A hypothesis on the noise: the linear system with such noise, and its prior odds.
+    """A system with another noise `what` (see `LOG_PRIOR`), ln of its prior odds, and words for people.
 
-    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus
-    the cost of the parameters fitted. `words` describe it for people.
+    The odds are against ordinary noise, minus the cost of the parameters fitted.
     """
 
     what: str
@@ -171,9 +170,8 @@ def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
 class LocalScatter:
     """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
 
-    `sd` is the standard deviation in this place; `elsewhere`, that in all other places; both are in the unit of
-    the signal. `where` is the installation and pass in words, empty if the place is a whole channel. `p` is the
-    p-value, corrected for the number of places.
+    `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel; `p`
+    counts all places.
     """
 
     channel: str
@@ -279,12 +277,10 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Slow noise (of spectral density 1/f) of one size in some `channels` (0, 1, 2), independent in each.
+    """Slow noise (1/f) of one size, root mean square, unit of the signal, independent in some `channels`.
 
-    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are the changes of
-    the rows by one standard deviation of each of its k independent components. `evidence` is ln of the Bayes
-    factor against no slow noise, averaged over sizes. `cost` is ln of the ratio of the mean likelihood over
-    all sizes to the largest likelihood.
+    `columns` (N, k) are one standard deviation of each component; `evidence` is ln of the Bayes factor over all
+    sizes, `cost` ln of the mean over the largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -432,11 +428,13 @@ def noise_kinds(
             "channels", message(f"channel {CHANNELS[most]} is {times} times as noisy as the others: {told}")
         )
     if linear.by_run is not None:
+        run, series_of = linear.readings.run, linear.readings.series
+        each = [np.unique(series_of[run == number]).tolist() for number in np.unique(run)]
         own = ", ".join(
             message(
                 f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"
             )
-            for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
+            for series, size in zip(each, linear.by_run.sizes, strict=True)
         )
         yield NoiseKind(
             "runs", message(f"the noise differs between runs, and each run is weighted by its own: {own}")
@@ -452,12 +450,6 @@ def noise_kinds(
         )
 
 
-def _series(linear: LinearSystem) -> list[list[int]]:
-    """Return the numbers of the series in each run."""
-    readings = linear.readings
-    return [np.unique(readings.series[readings.run == number]).tolist() for number in np.unique(readings.run)]
-
-
 LARGER: Final = 2.0
 """Least ratio of found to stated noise that is reported as a finding."""
 
@@ -467,12 +459,10 @@ BENCH_FILE: Final = message("the bench file")
 
 @dataclass(frozen=True)
 class NoiseFinding:
-    """Noise that is significantly larger than stated.
+    """Noise of a "reading" or a "setting" (`what`) that is significantly larger than `source` states.
 
-    `what` is "reading" for the noise of a reading, "setting" for the setting error. `found` and `stated` are
-    in `unit`, and `factor` is their ratio. `source` names in words what states the noise. `p` is the
-    probability that chance gives this ratio in any run. `series` are the series of the run concerned, empty
-    for all runs.
+    `found` and `stated` are in `unit`, `factor` is their ratio, `p` its p-value in any run; `series` are those
+    of the run (empty: all).
     """
 
     what: str

@@ -12,14 +12,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
-from bench.diagnosis.candidates import (
-    NOTHING_KNOWN,
-    Candidates,
-    KnownBench,
-    Variant,
-    is_form,
-    with_terms,
-)
+from bench.diagnosis.candidates import NOTHING_KNOWN, Candidates, KnownBench, Variant, is_form, with_terms
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
@@ -30,39 +23,48 @@ from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, find
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
-from bench.diagnosis.open_parts import (
-    beside,
-    channels_of,
-    left_open,
-    starting_states,
-    with_other_shapes,
-)
 from bench.diagnosis.posterior import (
     NoiseSize,
     Posterior,
     applied_of,
+    beside,
+    channels_of,
     common_volts,
     fit_found,
     known_together,
+    left_open,
     noise_size,
     posterior,
+    starting_states,
+    with_other_shapes,
 )
 from bench.diagnosis.residual_dictionary import WITH_CHANNELS
-from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, UnexplainedScatter, describe
 from bench.diagnosis.result import (
+    UNNAMED_FORM,
     UNNAMED_WORDS,
     Diagnosis,
     EffectValue,
+    FreeForm,
     NamedEffect,
+    UnexplainedScatter,
     Verdict,
     assumed,
     at_reference,
+    describe,
     register,
 )
 from bench.diagnosis.search import Prepared, SearchTask, find_effects
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.visibility import detectable, hidden, smallest
-from bench.diagnosis.where import FarReading, far_readings, find_places, looking_like, order_of
+from bench.diagnosis.visibility import (
+    FarReading,
+    detectable,
+    far_readings,
+    find_places,
+    hidden,
+    looking_like,
+    order_of,
+    smallest,
+)
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
@@ -187,12 +189,10 @@ def _with_far(
 
 @dataclass(frozen=True)
 class _Estimated:
-    """The joint estimate of coefficients and named effects.
+    """The joint estimate of coefficients and named effects, with the `noise` about them.
 
-    `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
-    shapes found; `fitted`, those that also allow parts of other shapes. `in_part` are these parts, then the
-    starting states of mountings. `left_open` are the members of `in_part` that go into a model file. `gap` is
-    the prediction of held-out readings.
+    `sized` is with the shapes found, `fitted` with parts of others. `in_part` are these and starting states,
+    `left_open` those for a model file. `gap` is the prediction of held-out readings.
     """
 
     naming: Naming
@@ -376,11 +376,9 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 @dataclass(frozen=True)
 class Rival:
-    """A family that may be present in place of an effect found.
+    """A family in place of an effect found: ln of its Bayes factor, whether it is a tie, and what changes.
 
-    `evidence` is ln of the family's Bayes factor. `tied` says whether the family is a tie of the effect. `shift`
-    (12 × blocks,) are the changes of the coefficients, in units of their u, if the family replaces the effect in
-    the model.
+    `shift` (12 × blocks,) are the changes of the coefficients with it instead, in units of their u.
     """
 
     family: str
@@ -429,9 +427,8 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 class FullDiagnosis:
     """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has, for each effect found, the families that may be present in its place. `skipped_rows` names the
-    rows of the source that could not be read. `shown` has the simulations of the first block. If there are
-    several blocks, `blocks` has the simulations of all.
+    `ranking` has families in place of each find; `skipped_rows` could not be read; `shown` has the simulations
+    of the first block, `blocks` those of all if there are several.
     """
 
     source: str

@@ -56,10 +56,8 @@ class Estimate:
 class ChannelCalibration:
     """The calibration of one channel: gain (V/V), offset (V) and drift (V/h).
 
-    If the reference stays at one level, one of `gain` and `offset_v` is None, as the record cannot separate
-    them. `covariance_v` is the covariance of gain and offset, V. `white_v` and `slow_v` are the standard
-    deviations of the white and the slow noise of one mean of the record, V. `residual_v` (n,) are the
-    residuals of the n means.
+    One level leaves gain or offset None; `covariance_v` is theirs. `white_v` and `slow_v` are the noise of one
+    mean, V, and `residual_v` (n,) the residuals.
     """
 
     channel: str
@@ -74,12 +72,10 @@ class ChannelCalibration:
 
 @dataclass(frozen=True)
 class RecordCalibration:
-    """The calibration of all c channels of a record of n means.
+    """The calibration of all c channels of a record of n means, of mean reference `level_v`.
 
-    `level_v` is the mean of the reference. `known_v` (n, c) are the voltages of the given effects, which are
-    already subtracted. `not_observable` says which of gain and offset the record does not determine.
-    `repeats` compares the scatter of calibrations of parts of the record with their u; it is None if the
-    record is too short.
+    `known_v` (n, c) of given effects are subtracted; `not_observable` says what the record does not determine;
+    `repeats` compares parts of the record, None if it is short.
     """
 
     record: Record
@@ -120,7 +116,8 @@ def calibrate_record(
     left = record.less(known)
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
-    errors += [_one_u(record, one) for one in effects if one.u]
+    of_one_u = [(one.effect, {**one.complete_values(), **one.u}, one.channels) for one in effects if one.u]
+    errors += [record.added(AppliedEffect(*one)) for one in of_one_u]
     errors += [_one_start(record, one) for one in effects if one.u and "lag" in one.complete_values()]
     errors += [error for one in hidden for error in _of_hidden(record, one)]
     level = float(record.reference_v.mean())
@@ -130,7 +127,12 @@ def calibrate_record(
         level_v=level,
         known_v=known,
         not_observable=() if record.several_levels else tuple(_hidden(record, level)),
-        notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(hidden)),
+        notes=(
+            *record.notes,
+            *note,
+            *_shapes_kept(record, effects),
+            *(f"u includes {one.name}: {one.origin}" for one in hidden),
+        ),
         repeats=_parts(left),
     )
 
@@ -172,10 +174,6 @@ def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[s
                 f"{one.effect.name} keeps {one.shapes_text()} of the model; u leaves out the uncertainty of this "
                 "shape, which no model file states"
             )
-
-
-def _widened(hidden: Sequence[ErrorSource]) -> Iterator[str]:
-    return (f"u includes {one.name}: {one.origin}" for one in hidden)
 
 
 def _parts(record: Record) -> Repeats | None:
@@ -296,12 +294,6 @@ def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...
         )
     sd = np.interp(record.conditions.time_s, readings.time_s[known], numbers(cells)[known])
     return sd, ()
-
-
-def _one_u(record: Record, applied: AppliedEffect) -> Floats:
-    """Return the voltages (n, c), V, that an effect adds if its size is one standard uncertainty."""
-    values = applied.complete_values()
-    return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
 
 
 def _one_start(record: Record, applied: AppliedEffect) -> Floats:

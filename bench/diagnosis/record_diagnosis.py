@@ -22,7 +22,7 @@ from bench.diagnosis.record_model import FOLLOWS, MOVE, Record, make_courses, ma
 from bench.diagnosis.record_noise import Noise, solved
 from bench.diagnosis.record_search import ChannelFit, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.visibility import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 
@@ -49,13 +49,10 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` describes, for each channel, the residuals of a fit without the effects found. `fits` has the
-    estimates of each channel from the model with the effects found. `gap` is measured on excursions (of
-    temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of
-    response of an effect: at once, with a lag, with hysteresis. `far` has a sentence for each mean that is
-    far from the model, the farthest first. `noises` has the noise of the mean of the channels, then the noise
-    of each difference between channels (`RecordWork.helmert`). `hidden` are the effects that the record
-    cannot show.
+    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap` and `rivals`
+    (kinds of response) are of excursions held out in turn. `far` has a sentence for each far mean; `noises` has
+    that of the mean of channels, then of differences (`RecordWork.helmert`); `hidden` has effects that the
+    record cannot show.
     """
 
     source: str
@@ -158,7 +155,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well the rest predicts each excursion with `finds` estimated again, and by response."""
+    """Return how well the rest predicts each excursion with `finds`, and the comparison of responses."""
     noises = work.noises([one.variant for one in finds])
     folds: list[Fold] = []
     for number, course in enumerate(one.variant for one in finds):
@@ -261,7 +258,7 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how kinds of response predict excursions, for the first find of the temperature of the meter."""
+    """Yield how kinds of response predict excursions, for the first find that follows the meter's temperature."""
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

@@ -22,7 +22,7 @@ from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.levels import FAR, NEGLIGIBLE
 from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.open_parts import BEYOND, Shape
+from bench.diagnosis.posterior import BEYOND, Shape
 from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
@@ -48,12 +48,10 @@ OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 
 @dataclass(frozen=True)
 class Record:
-    """A record at a known input, as n means of consecutive readings in c channels.
+    """A record at a known input, as n means of consecutive readings in c `channels` (indices).
 
-    `channels` are the indices of the channels. `reference_v` (n,) is the input, V; `deviation_v` (n, c) is the
-    signal minus the input, V. `scale` (n,) is the relative noise of each mean, from the scatter of its readings.
-    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is the mask
-    of the readings of the table that the means contain.
+    `reference_v` (n,) is the input, `deviation_v` (n, c) the signal minus it, V; `scale` (n,) is the relative
+    noise of a mean; `conditions` are of the means; `used` (m,) masks the readings in them.
     """
 
     source: str
@@ -210,7 +208,7 @@ def groups_of(time_s: Floats) -> list[Ints]:
 
 
 def levels_apart(reference_v: Floats) -> bool:
-    """Return whether the reference (n,) changes by more than `LEVELS` of its largest value, noise left out."""
+    """Return whether the reference (n,) changes by more than `LEVELS` of its largest value, above `ZERO_V`."""
     largest = np.abs(reference_v).max()
     return bool(largest >= ZERO_V and np.ptp(reference_v) > LEVELS * largest)
 
@@ -328,7 +326,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 
 
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
-    """Return the shapes that an effect of a model may have: the given one for rails, formulas, and several."""
+    """Return the shapes that an effect may have; only the given one for rails, formulas, several parameters."""
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
         return [(effect, shape)]

@@ -41,11 +41,9 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise plus slow noise of one kind, over n means.
+    """White noise of `variance`, V², plus slow noise of `ratio` times this on average, over n means.
 
-    `variance` is the variance of the white noise, V²; the slow noise has `ratio` times this variance on average.
-    `slow` (n,) are the eigenvalues of the slow noise's covariance for a mean variance of 1; `vectors` (n, n), its
-    eigenvectors.
+    `slow` (n,) and `vectors` (n, n) are the eigensystem of the slow covariance of mean variance 1.
     """
 
     slow: Floats
@@ -82,9 +80,8 @@ class Noise:
 class NoiseTrials:
     """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of the covariance of the record's n
-    means. `trend` (n, 2 or 3) has the columns of `Record.trend`, each row divided by the relative noise of its
-    mean.
+    `slow` has eigenvalues (n,) and eigenvectors (n, n) of each kind; `trend` (n, 2 or 3) is that of the record
+    over relative noise.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]
@@ -135,13 +132,9 @@ class NoiseTrials:
 class Products:
     """Scalar products of h whitened columns and d targets, for each of s trial noises.
 
-    `square` (s, h) are the squared lengths of the columns; `product` (s, h, d), the scalar products of columns
-    and targets; `left` (s, d), the squared lengths of the targets. `log_det` (s,) is the part of ln of the
-    restricted likelihood that does not depend on the data.
-
-    The b columns with the indices `begun` (b,) have a starting state. `start_square` (s, b) are the squared lengths
-    of these states; `start_product` (s, b, d), their scalar products with the targets; `across` (s, b), those with
-    their columns.
+    Squared lengths are `square` (s, h) and `left` (s, d) of the targets, `product` (s, h, d) is between them;
+    `log_det` (s,) is the part of ln of the likelihood without data. Columns `begun` (b,) have starting states:
+    `start_square` (s, b), `start_product` (s, b, d) with targets, `across` (s, b) with columns.
     """
 
     noises: tuple[Noise, ...]

@@ -15,17 +15,9 @@ from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
-from bench.diagnosis.open_parts import Shape
 from bench.diagnosis.pipeline import effects_of
-from bench.diagnosis.posterior import Posterior
-from bench.diagnosis.record_model import (
-    MOVE,
-    Record,
-    column_of,
-    courses_of,
-    shape_of,
-    start_of,
-)
+from bench.diagnosis.posterior import Posterior, Shape
+from bench.diagnosis.record_model import MOVE, Record, column_of, courses_of, shape_of, start_of
 from bench.diagnosis.record_noise import Noise, NoiseTrials, solved
 from bench.diagnosis.result import NamedEffect
 from bench.model.effects import CATALOGUE, AppliedEffect
@@ -38,10 +30,9 @@ FAINT: Final = 9.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V) and drift (V/h) of a channel with their u, estimated together with the effects found.
+    """Zero (V), at 0 V for several levels, and drift (V/h) of a channel with u, beside the finds.
 
-    If the reference has several levels, a gain is fitted too, and the zero is that at 0 V. `before_v` (n,) are the
-    residuals of a fit without the effects, V; `residual_v` (n,), the residuals of a fit that includes them, V.
+    `before_v` and `residual_v` (n,) are residuals without and with them, V.
     """
 
     channel: str
@@ -55,12 +46,10 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class Forms:
-    """The h forms that a course may have in a record, with the likelihood of each.
+    """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
 
-    `columns` (n, h) are as in `column_of`, `starts` (n, h) as in `start_of`. `log` (h,) is ln of the likelihood.
-    `size` and `variance` (parts, h) are the estimated size and its variance in each component. The first forms
-    differ in the shape `parameter`: they have its `values`, with the probabilities `of_values` among these forms.
-    `parameter` is None if the course has none with a unit.
+    `columns` and `starts` (n, h) are as `column_of` and `start_of`; `size` and `variance` are (parts, h). The
+    first forms have `values` of a shape `parameter` with a unit (or None), of probabilities `of_values`.
     """
 
     columns: Floats

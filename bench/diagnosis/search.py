@@ -16,14 +16,7 @@ from bench.base.arrays import Floats, Mask
 from bench.base.computing import tracked
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.candidates import (
-    SINGLE,
-    Candidates,
-    Column,
-    make_candidates,
-    with_terms,
-    without_copies,
-)
+from bench.diagnosis.candidates import SINGLE, Candidates, Column, make_candidates, with_terms, without_copies
 from bench.diagnosis.evidence import FALSE_ALARMS, Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.levels import BY_CHANCE, FEW, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
@@ -38,8 +31,7 @@ from bench.diagnosis.noise_grid import (
     with_rounding,
 )
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
-from bench.diagnosis.open_parts import beside, with_other_shapes
-from bench.diagnosis.posterior import applied_of, fit_found, noise_size, posterior
+from bench.diagnosis.posterior import applied_of, beside, fit_found, noise_size, posterior, with_other_shapes
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings
@@ -47,13 +39,10 @@ from bench.readings.table import Readings
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings prepared for the search: linear system, whitened candidates, and threshold.
+    """Readings prepared for the search: system, noise of repeats, whitened candidates, products, threshold.
 
-    `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
-    candidates; `limit`, the threshold. `setting_rad` is the setting error that the bench file states. `bend` (N,)
-    is the nonlinear part of the effects found, already subtracted from the response. `log_odds` is ln of the
-    prior odds of the noise hypotheses accepted, minus the cost of their parameters. `chosen` maps the kind of
-    each of these hypotheses to its words.
+    `setting_rad` is that of the bench file; `bend` (N,), the nonlinear part of the finds, is subtracted
+    already. `log_odds` is ln of the prior odds of the noise, less parameters; `chosen` has its words by kind.
     """
 
     linear: LinearSystem
@@ -149,10 +138,9 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What every search needs besides the readings.
+    """What every search needs besides the readings; effects in `absent` are not searched.
 
-    `stand_u` has the standard uncertainties, rad, of the stand angles (`STAND_ANGLES`) and of the "setting_error".
-    `resolution` is the step of the last digit of the signals. Effects named in `absent` are not searched.
+    `stand_u` has the u of `STAND_ANGLES` and "setting_error", rad; `resolution` is the last digit.
     """
 
     model: ForwardModel
@@ -370,10 +358,8 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
-    scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
-        np.log(BY_CHANCE)
-    )
+    evidence = Scored.beside(whitened, data, others).scores.variants[:, 0]
+    return bool(evidence[whitened.candidates.variants.index(one.variant)] > -np.log(BY_CHANCE))
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:

@@ -38,12 +38,10 @@ class ModulusPoint:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
+    """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `effects` are
-    the effects of the model with the values and u estimated here. `points` are the errors at the verification
-    points, which are independent of the fit. If `joined`, some effect shows at no other readings, and the fit
-    therefore includes the verification points. `repeat` computes `repeated`.
+    `test` compares readings with a simulation without noise; `effects` have the values estimated. `points` are
+    independent of the fit, unless it is `joined`, as an effect shows only there. `repeat` computes `repeated`.
     """
 
     model: ForwardModel

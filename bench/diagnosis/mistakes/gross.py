@@ -43,10 +43,9 @@ def sheet_u(scale: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and others that explain them equally well (`equal`).
+    """The supposed mistake that explains the readings best, and others that explain them equally well.
 
-    `p` is an upper limit of its p-value: the number of suppositions tried divided by the odds of this one.
-    Chance gives odds of B or more with a probability of at most 1/B.
+    `p` is at most suppositions over odds: chance gives odds of B with a probability of at most 1/B.
     """
 
     supposition: Reinterpretation
@@ -56,7 +55,7 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossFit:
-    """A block fitted as recorded, chi-square `misfit` of the readings, and of each channel about its `sheet`."""
+    """A block fitted to readings, with the chi-squares of these (`misfit`) and about the `sheet`, by channel."""
 
     block: Block
     misfit: float
@@ -67,9 +66,8 @@ class GrossFit:
 class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
-    `nominal` (3,) are the scale factors of the data sheet with their signs, in the unit of the signal per g; None
-    if unknown. `stand_rad` is the standard deviation of the angle between block and vertical that the limits of
-    the bench permit, in rad; it is also the error of the specific force in g.
+    `nominal` (3,) is signed, unit of the signal per g, None if unknown. `stand_rad` is 1 sigma of the angle of
+    block and vertical within the limits of the bench, and of the force in g.
     """
 
     installations: Mapping[str, Installation]

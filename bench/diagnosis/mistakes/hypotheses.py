@@ -34,10 +34,8 @@ WIDE: Final = max(ERRORS)
 class ProjectedReadings:
     """The whitened readings of a table at one noise ratio, with all that is known projected out.
 
-    `white` has the noise of a reading and the setting error. `basis` (3n, k) spans the directions that are
-    projected out, which are those of the model and of the known changes. `pull` (3n,) are the residuals of the n
-    readings; `square` is the squared length of `pull`. `log_det` is the part of ln of the evidence that does not
-    depend on the readings.
+    `white` is the noise; `basis` (3n, k) spans model and known changes; `pull` (3n,) are the residuals and
+    `square` their square; `log_det` is the part of ln of the evidence without the readings.
     """
 
     table: Table
@@ -102,13 +100,10 @@ class ProjectedReadings:
 
 @dataclass(frozen=True)
 class Table:
-    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the
-    block.
+    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the block.
 
-    `slope` (n, 3) are the derivatives of the signals by the head angle, per rad; `coefficients` (n, 3, 12),
-    by the coefficients; `stand` (n, 3, p), by the p other unknowns of the `problem`, times their prior
-    standard deviations. `unit` is the noise of a reading, from the median of the residuals. All are in the
-    unit of the signal.
+    Derivatives are `slope` (n, 3), per rad of the head, `coefficients` (n, 3, 12), and `stand` (n, 3, p) by the
+    other unknowns times prior u. `unit` is the noise of a reading. All are in the unit of the signal.
     """
 
     problem: Problem

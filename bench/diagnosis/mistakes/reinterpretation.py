@@ -23,10 +23,9 @@ from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The n readings of a table that were taken in an orientation, or those at its verification points.
+    """The n readings of a table taken in an orientation, or those at its verification points.
 
-    `rows` (n,) are the indices of the readings in the table; `mount` (n,) are the indices of their mountings in
-    `mounts`; `label` (n,) are their installations. `signal` (n, 3) is in `unit`.
+    `rows` (n,) are indices in the table, `mount` (n,) in `mounts`; `signal` (n, 3) is in `unit`.
     """
 
     rows: Ints
@@ -93,15 +92,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings.
+    """A supposed mistake in the record of n readings; a default field leaves the record as it is.
 
-    A field with its default value leaves the record as it is.
-
-    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,): the true signals
-    of reading i were recorded with reading `source[i]`, or not at all if that is -1. `turns` maps each
-    installation that was mounted in another orientation to the rotation matrix (3, 3) from the stated to the true
-    block axes. `matrix` (3, 3) converts the signals as recorded to the true signals in the unit of the file; it
-    acts in `scope` only. `words` is a sentence for people.
+    `label` and `angle_rad` (n,) are the truth; true signals of reading i are with reading `source[i]` (-1:
+    lost). `turns` has rotations (3, 3) from stated to true block axes by installation; `matrix` (3, 3) converts
+    signals in `scope`. `words` is a sentence.
     """
 
     name: str

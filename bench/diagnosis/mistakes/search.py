@@ -18,7 +18,7 @@ from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import make_problem
 from bench.calibration.gls import noise_floor
-from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
+from bench.calibration.mistakes import PREFIX, PREFIXES, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
@@ -136,7 +136,9 @@ class _Search:
         parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
         log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
         p = self.gross.p_of_copy(readings, copy, log_scaling, 3 * parts * np.log(len(PREFIXES)))
-        return [(_unit_mistake(unit, p), copy)]
+        where = () if unit.installation is None else (unit.installation,)
+        words, name = f"{unit.words}; the copy has them in the unit of the file", MistakeName.WRONG_UNIT
+        return [(Mistake(name, unit.channels, where, unit.pass_number, None, words, p, ()), copy)]
 
     def map(self, readings: Readings, *, verification: bool = False) -> list[tuple[Mistake, Readings]]:
         """Return the likeliest other meaning of the record, or of its `verification` points, with the copy."""
@@ -190,12 +192,6 @@ class _Search:
             replace(mistake, misfit_before=before, misfit_after=after) if before != after else mistake
             for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
         )
-
-
-def _unit_mistake(unit: WrongUnit, p: float) -> Mistake:
-    installations = () if unit.installation is None else (unit.installation,)
-    words = f"{unit.words}; the copy has them in the unit of the file"
-    return Mistake(MistakeName.WRONG_UNIT, unit.channels, installations, unit.pass_number, None, words, p, ())
 
 
 def _gross_mistake(gross: GrossMistake) -> Mistake:

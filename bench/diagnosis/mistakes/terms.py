@@ -37,13 +37,11 @@ SLIP_PART: Final = 0.01
 
 @dataclass(frozen=True)
 class WrongReadings:
-    """A mistake in one reading, or in all readings of a pass.
+    """A mistake in one reading, or in all readings of a pass (`rows`, among oriented ones).
 
-    `rows` are the indices of these readings among the oriented ones. `off_rad` is the true head angle minus the
-    recorded one, None if the readings are useless. `ties` are the names of mistakes or effects that may explain
-    these readings as well. `p` is the number of hypotheses tried divided by the odds of this mistake against no
-    mistake. For a single reading, `shift` (3,) is the error of its signals in their unit, and `sigma` is the
-    largest of the three errors in standard deviations of the noise. For a pass, `shift` is empty.
+    `off_rad` is the true minus the recorded angle, None if readings are useless; `ties` may explain them as
+    well; `p` is hypotheses over odds. For one reading, `shift` (3,) is the error, unit of the signal, and
+    `sigma` its largest in noise; a pass has no `shift`.
     """
 
     name: MistakeName
@@ -82,7 +80,8 @@ class TermSearch:
         """Return the pass that is wrong as a whole, or else wrong single readings, the largest error first.
 
         The likeliest error of a reading or change of the bench joins the model, until no odds exceed
-        1/`significance`. A change of a pass is compared with mistakes in it. Too many readings are none.
+        1/`significance`. A change of a pass is compared with mistakes in it. If too many readings would be
+        wrong, none is returned.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
