@@ -59,11 +59,6 @@ class Data:
         """Return the products of only the data sets in the slice `of`."""
         return Data(self.square[:, of], self.along[:, :, of])
 
-    @property
-    def sets(self) -> int:
-        """The number of data sets."""
-        return int(self.square.shape[1])
-
 
 @dataclass(frozen=True)
 class Whitened:
@@ -210,7 +205,7 @@ class Search:
     def score(self, data: Data) -> Scores:
         """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
         left = self.left_over(data)
-        begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
+        begun = tracked(range(0, left.square.shape[1], CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
         return Scores(
             np.concatenate([p.variants for p in parts], axis=1),
@@ -223,7 +218,9 @@ class Search:
         of_null = base[:, None] + grid.log_likelihood(left.square)
         null = _log_sum(of_null.copy())
         # a variant with a column that the model already has
-        out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
+        out = np.full(
+            (len(self.whitened.candidates.variants), left.square.shape[1]), np.finfo(np.float64).min
+        )
         for group in self.groups:
             squares = group.squares(left)
             # in place: a new array for each step would take as long as the logarithms

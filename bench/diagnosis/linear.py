@@ -107,24 +107,19 @@ class LinearSystem:
     """N differences of readings and prediction, as a linear function of the unknowns plus noise.
 
     The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block. Here c are
-    the changes of the 12 coefficients, which have no prior, and b are q other unknowns with independent standard
-    normal priors.
+    the changes of the 12 coefficients, without prior, and b are q other unknowns with standard normal priors.
 
-    `response` (N,) is measured minus predicted. `fixed` (N, 12) are the derivatives by the coefficients. `random`
-    (N, q) are the derivatives by the other unknowns, times their prior standard deviations. Its columns belong to
-    the stand angles, then to the effects of the given model (`problem` describes both), then to unknown
-    references. The last `of_noise` columns are not unknowns of the bench but noise that readings share, such as
-    slow noise in `slow_channels`, or of the meters' references if `slow_reference`.
+    `response` (N,) is measured minus predicted. `fixed` (N, 12) are derivatives by the coefficients, `random`
+    (N, q) by the other unknowns, times prior u: stand angles and effects of the model (both of `problem`),
+    unknown references, and last `of_noise` columns of noise that readings share, such as slow noise in
+    `slow_channels`, or of the meters' references if `slow_reference`.
 
-    `slope` (N,) is the derivative of each row's signal by the head angle, or 0 in a row that does not depend on
-    it. `setting` (N,) is the number of each row's setting of the head, or -1 in a row without a setting.
+    `slope` (N,) is the derivative by the head angle, else 0; `setting` (N,) is the number of the setting, else
+    -1. `orientation` is that of the block at the verification points, None if not determined; if it contradicts
+    the bench file, `model` has the measured one.
 
-    `orientation` is the orientation of the block at the verification points, None if they do not determine it. If
-    it contradicts the bench file, `model` has the measured orientation.
-
-    The noise of a row relative to the average is a product of factors. `by_channel` (3,) has mean square 1.
-    `by_run` has a factor for each run; `by_row` (N,), factors that describe heavy tails; `by_place` (N,), factors
-    of a place that scatters more. Each of these three is None if there is no such difference.
+    The relative noise of a row is a product of factors: `by_channel` (3,) of mean square 1, `by_run`, `by_row`
+    (N,) for heavy tails, and `by_place` (N,) for a place that scatters more; the last three may be None.
     """
 
     readings: Readings

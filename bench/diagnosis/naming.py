@@ -174,9 +174,8 @@ class Scored:
 def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
     """Return the scores without the forms whose starting states are too large for their sizes.
 
-    The evidence takes states and sizes as independent, but a small effect cannot have a large state: at most
-    `FARTHEST` standard deviations for the size found, beside twice its u. Forms with `NEGLIGIBLE`
-    weight beside the likeliest are not examined.
+    A state is at most `FARTHEST` standard deviations for the size found, beside twice its u, but the evidence
+    takes them as independent. Forms of `NEGLIGIBLE` weight are not examined.
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
@@ -319,10 +318,9 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the names of the most probable families among which the readings do not decide.
+    """Return the names of the most probable families of `odds`, sorted, among which readings do not decide.
 
-    If the first name is wrong with a probability of at most `OFTEN`, only this name is returned; otherwise, the
-    names have a total probability of at least 1 - `BY_CHANCE`. `odds` are sorted, the most probable first.
+    It is the first alone if its probability is 1 - `OFTEN`; else they have 1 - `BY_CHANCE` together.
     """
     if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]

@@ -137,11 +137,9 @@ Noise then makes the wrong one likelier in 2.3 % of runs, as often as it gives a
 
 @dataclass(frozen=True)
 class Separation:
-    """How well readings distinguish an effect found (`effect`) from one of its ties (`other`).
+    """The divergence D of an effect found from one of its ties, `before` and `after` a procedure.
 
-    `before` is the divergence D from the present readings; `after`, the divergence from these and the readings of
-    a procedure together. D is the expected value of ln of the odds of the true name against the other; higher is
-    better.
+    D is the expected value of ln of the odds of the true name against the other; higher is better.
     """
 
     effect: str
@@ -165,16 +163,11 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of at least 1 -
-    `OFTEN`.
+    """Return the probability that further readings give one name of a tie a posterior of 1 - `OFTEN`.
 
-    `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
-    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence
-    D from `first` by the further readings, or to -inf if these readings cannot distinguish the two.
-
-    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
-    mean D and variance 2 D. If there are several rivals, the one that is hardest to separate from the true
-    name decides. The divergence between two rivals is not considered.
+    `odds` maps the name of the find, `first`, and of its rivals to present probabilities; `gained` maps rivals
+    to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the true
+    name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate decides.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -192,13 +185,11 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A procedure proposed as the next measurement, and the reason `why`.
+    """A procedure proposed as the next measurement, its file `source`, duration, and the reason `why`.
 
-    `source` is the file of the procedure, `minutes` its expected duration. `settles` are the ties that it
-    resolves or reduces; `shows`, the effects that were hidden so far and that it would show. `left_out` maps each
-    procedure that this bench cannot carry out to the reason. `written` is the path of a copy that begins with
-    `why`, or None before `write`. If there are ties, `chances` has the prospects of all procedures, the best
-    first.
+    `settles` are ties that it resolves or reduces, `shows` hidden effects that it would show, `left_out`
+    impossible procedures with reasons. `written` is the path of a copy that begins with `why` (`write`). If
+    there are ties, `chances` has the prospects of all procedures, the best first.
     """
 
     why: str
@@ -249,11 +240,9 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    If there are ties, this is the shortest of the procedures that resolve the most ties; if none resolves
-    any, the one with the largest increase of the divergence D per minute. Without ties, it is the shortest of
-    the procedures that show the most hidden effects. `menu` are the files to choose from, by default the
-    shipped procedures `MENU`; a file that includes others is ignored. Nothing is proposed after a mistake, or
-    if an effect found is not in the catalogue.
+    With ties, it is the shortest that resolves the most ties, or else the fastest to increase D; otherwise the
+    shortest that shows the most hidden effects. `menu` (default: `MENU`) are files without inclusions. Nothing
+    follows a mistake or an unnamed effect.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None
@@ -369,8 +358,8 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
 
-        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows an effect
-        if half of all runs then find the effect at twice its plausible size.
+        Effects of plausible sizes below the noise are hidden, too. Shown is what half of all runs find at twice
+        its plausible size.
         """
         diagnosis = self._diagnosis
         half = half_power(diagnosis.whitened, diagnosis.registered.threshold)

@@ -59,13 +59,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Whitener:
-    """A linear map of N rows to numbers with independent noise of equal variance.
+    """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has a pair for each size n of a set of rows with correlated noise. For the b sets of this size,
-    the pair is: the indices (b n,) of the rows, set after set, and the matrices (b, n, n) that make the noise of
-    the rows independent, whatever the setting error. `root` (N,) are the factors that then make the variances
-    equal. `fitted` are the subspaces that the map removes; they are orthogonal, and each accelerometer block has
-    its own. Apply the map with `@`.
+    `blocks` has, for each size n of sets of correlated rows, the indices (b n,) of their rows and matrices (b,
+    n, n) that make these independent, whatever the setting error; `root` (N,) are the factors to equal
+    variance. `fitted` are the orthogonal subspaces that are removed, one for each accelerometer block.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -132,11 +130,10 @@ def _times(matrices: Floats, columns: Floats) -> Floats:
 class NoiseGrid:
     """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
 
-    `white` has a map for each ratio; the map takes rows divided by `sigma`, a first estimate of the noise of a
-    reading. `freedom` is the number of rows minus the number of coefficients. `log_det` (ratios,) is the part of
-    ln of the restricted likelihood that does not depend on the data; `log_prior` (ratios,), ln of the prior
-    probability of each ratio. `setting_rad_per_noise` (ratios,) is the setting error, rad, if the noise of a
-    reading is one unit of the signal. If `known`, the noise is `sigma`; otherwise it is unknown.
+    Each map in `white` takes rows divided by `sigma`, a first estimate of the noise; `freedom` is N minus the
+    coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood without data, `log_prior`
+    that of the ratios; `setting_rad_per_noise` is for noise of one unit of the signal. If `known`, the noise is
+    `sigma`.
     """
 
     white: tuple[Whitener, ...]
@@ -278,7 +275,8 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     spans = []
     log_det = 0.0
     # a setting error couples the rows of all channels, and so all coefficients of a block
-    parts = coupled(white) if white.shape[1] > FIXED else [tuple(map(np.flatnonzero, _used(white)))]
+    used = [np.flatnonzero(np.any(white, axis=axis)) for axis in (1, 0)]
+    parts = coupled(white) if white.shape[1] > FIXED else [used]
     for rows, columns in parts:
         if not len(rows):
             continue  # no row depends on these coefficients
@@ -298,11 +296,6 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     return (*spans, Span(slice(None), basis, kept)), log_det
 
 
-def _used(matrix: Floats) -> tuple[Mask, Mask]:
-    """Return the masks of the rows and of the columns of a matrix that are not all zero."""
-    return np.any(matrix, axis=1), np.any(matrix, axis=0)
-
-
 def _as_slice(rows: Ints) -> slice | Ints:
     """Return `rows` as a slice, which copies nothing, if they are consecutive, else unchanged."""
     first = int(rows[0])
@@ -317,10 +310,9 @@ EVERY: Final = slice(None)
 class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
-    `rows` (N, P) are the columns with independent rows, the same for all ratios; `weight` (ratios, N) is the
-    inverse variance of each row. From the weighted products, those of the components `taken` (ratios, k, P)
-    along the fitted directions are subtracted. With two sources of variance, one diagonalisation serves all
-    their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
+    `rows` (N, P) are independent for all ratios, of inverse variance `weight` (ratios, N); products of `taken`
+    (ratios, k, P) along the fitted directions are subtracted. With two sources of variance, one diagonalisation
+    serves all their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
 
     rows: Floats
@@ -363,11 +355,10 @@ class Repeats:
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     """Return the noise of a reading that the scatter of repeated settings shows, whatever the model lacks.
 
-    The settings are described without the model: by a free value for each mounting and angle, a linear drift
-    for each mounting, and for each pass a free bias and a free sine wave of one period per turn, so that
-    changes between passes do not count as noise. The noise and the setting error maximise the restricted
-    likelihood of the residuals of this description. If there are too few repeats, the scatter about the model
-    is used instead. The result is never below the rounding error of the `resolution`.
+    The fit has a free value for each mounting and angle, a drift for each mounting, and for each pass a bias
+    and a wave once per turn, so that changes between passes do not count. Noise and setting error maximise the
+    restricted likelihood. With too few repeats, it is the scatter about the model; it is at least the rounding
+    error of `resolution`.
     """
     oriented = linear.setting >= 0
     left, slope = (
@@ -481,11 +472,6 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     # a verification point has no repeats, so that its whole rounding error is noise of its own
     columns[moduli, int(key.max()) + 1 + np.arange(len(moduli))] = size
     return linear.with_noise(columns)
-
-
-def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
-    """Return the grid of `make_noise_grid`; its noise is known (fixed) if repeats share a rounding error."""
-    return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
 
 
 def repeated(digit: float, sigma: float) -> float:

@@ -353,11 +353,9 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return, for each effect found, parts of other shapes or in other channels that may act besides it.
+    """Return, for each find, parts of other shapes or in other channels that may act besides it.
 
-    Their values are zero, with their prior u in SI. `sized` are the estimates with the shapes found.
-    `channels` maps the index of an effect found to the probability (3,) that it acts in each channel
-    (`channels_of`).
+    They are zero with a prior u, SI, from the sizes in `sized`; `channels` has probabilities (`channels_of`).
     """
     return tuple(
         tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
@@ -459,11 +457,10 @@ def left_open(
     fitted: Posterior,
     noise: NoiseSize,
 ) -> tuple[AppliedEffect, ...]:
-    """Return the parts (`InPart`) of the effects found that the readings leave uncertain, for a model file.
+    """Return the parts (`InPart`) of the finds that the readings leave uncertain, for a model file.
 
-    `others` are, for each effect found, its possible parts with other shapes (`beside`). `linear` is the
-    system without these parts; `fitted` are the estimates with all these parts, which follow the other random
-    columns.
+    `others` are the possible parts of each find (`beside`); `fitted` has them after the random columns of
+    `linear`.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
     first = len(fitted.mean) - fitted.effects

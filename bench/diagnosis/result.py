@@ -36,10 +36,8 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    They are the priors, the threshold, the limits of a tie, the sets of readings to hold out, and the least
-    decrease of the gap. `sha256` is a hash of them all, of the catalogue, and of the weights of prior sizes.
-    The sets `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is not used and
-    always None.
+    `sha256` is a hash of all, of the catalogue, and of the weights of prior sizes. The sets `held_out_else` are
+    held out if the sets `held_out` cannot be. `pair_margin` is always None.
     """
 
     sha256: str
@@ -134,14 +132,11 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
-    `cannot_tell_from` are its ties, that is, the names of effects that explain the readings as well; `odds` are
-    the posterior probabilities of all names. `plainer_than` are effects of the same subsystem that include this
-    one as a special case. `rho` is the size of the parameters in units of their uncertainty
-    (`Posterior.significance`), None if no parameter was estimated. `p` is the p-value for this effect alone;
-    `p_all_looks`, the p-value corrected for all effects tried. `applied` has an entry for each set of mountings
-    with its own values; it is empty if the effect is not in the catalogue. `together` are sums or differences of
-    values that are known far better than the values themselves. `aliases` are other numbers of periods per turn
-    of the head that are indistinguishable at the angles measured.
+    `cannot_tell_from` are its ties, `odds` the posterior probabilities of all names, `plainer_than` effects of
+    the subsystem that include it. `rho` is the size of the parameters in u (`Posterior.significance`), if any.
+    `p` is for this effect alone, `p_all_looks` for all tried. `applied` has an entry for each set of mountings,
+    none outside the catalogue; `together`, sums or differences that are known far better than the values.
+    `aliases` are other periods per turn, indistinguishable at these angles.
     """
 
     name: str
@@ -214,21 +209,16 @@ class Findings:
 class Diagnosis(Findings):
     """The complete result of the diagnosis of one set of readings.
 
-    `far` are readings far from the model. `p_left` is the p-value of the lack-of-fit test, which compares the
-    noise about the model with all effects found with the noise of repeats.
+    `far` are readings far from the model. `p_left` compares the noise about the model with all finds and that
+    of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show (empty:
+    all); `absent`, to the reason why this bench cannot have them. `unseen_per_turn` are periods per turn of
+    head errors that do not change the readings. `detectable` is the size of each effect that half of all runs
+    find, in plausible sizes; `smallest`, that of several parameters.
 
-    `hidden` maps each effect that these readings could not show, at least in part, to the parts that they do not
-    show; an empty tuple means the whole effect. `absent` maps each effect that the bench cannot have to the
-    reason. `unseen_per_turn` are the numbers of periods per turn of head errors that do not change the readings
-    at the angles measured. `detectable` maps each effect to the size that is found in half of all runs, as a
-    multiple of the plausible size; `smallest` has such sizes for effects with several parameters.
-
-    `in_part` are parts of the effects that may be present with other shapes; the u of the coefficients includes
-    them. `left_open` are those of these parts that the readings leave uncertain, for a model file. `findings`
-    state where noise is larger than stated; `noise_kinds`, where it departs from normal noise of one size. `form`
-    describes finds without a name. `whitened` are the whitened candidates, and `data` the scalar products, with
-    which the effects were found. Plots and reports use them, and also `linear`, `candidates`, `naming`, `fitted`
-    and `noise`.
+    `in_part` are possible parts of the finds with other shapes, which the u of the coefficients includes;
+    `left_open`, those of them for a model file. `findings` state where noise is larger than stated;
+    `noise_kinds`, where it departs from normal noise of one size. `form` describes finds without a name. Plots
+    and reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
     """
 
     far: tuple[FarReading, ...]
@@ -274,17 +264,16 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
     """Yield a sentence on the temperature at which coefficients hold, if an effect `found` depends on it."""
-    names = [effect.name for effect in found if _of_temperature(effect)]
+    names = [
+        one.name
+        for one in found
+        if one.name in OF_TEMPERATURE
+        or (isinstance(one, FormulaEffect) and "temperature" in names_in(one.expression))
+    ]
     if names:
         yield message(
             f"the coefficients apply at {REFERENCE_C:g} °C, the reference temperature of {' and '.join(names)}"
         )
-
-
-def _of_temperature(effect: Effect) -> bool:
-    return effect.name in OF_TEMPERATURE or (
-        isinstance(effect, FormulaEffect) and "temperature" in names_in(effect.expression)
-    )
 
 
 def assumed(linear: LinearSystem) -> Iterator[str]:

@@ -26,7 +26,8 @@ from bench.diagnosis.noise_grid import (
     SAME_SIZE,
     NoiseGrid,
     Repeats,
-    grid_with_rounding,
+    is_rounded,
+    make_noise_grid,
     noise_of_repeats,
     with_rounding,
 )
@@ -171,8 +172,10 @@ class SearchTask:
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid of a system; `sigma` is a first estimate of the noise of a reading."""
-        return grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
+        """Return the noise grid for a first estimate `sigma`; rounding that repeats share makes it known."""
+        return replace(
+            make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
+        )
 
 
 def find_effects(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:

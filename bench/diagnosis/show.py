@@ -114,12 +114,10 @@ def show(
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
-    `readings` are corrected for mistakes. `stand_u` is as in `diagnose`; `g_m_s2` is the local gravity. The added
-    effects were found in these readings, and are therefore estimated again without their earlier u. `in_part` are
-    possible parts of the effects with other shapes; these keep their prior u. `slow` (n, 3, k) are the signals of
-    slow noise that the diagnosis found, for one standard deviation of each of its k components. The u of the
-    coefficients includes it, unless the calibration finds a drift itself. Raises `CalibrationError` if the readings
-    do not determine the coefficients.
+    `stand_u` is as in `diagnose`; `g_m_s2` is local gravity. Effects found in these readings are estimated
+    again without their u; `in_part`, possible parts of other shapes, keep it. `slow` (n, 3, k) are signals of
+    one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration finds
+    a drift itself. Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2, slow)

@@ -34,13 +34,11 @@ from bench.readings.table import Readings
 class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
-    `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
-    shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
-    mountings written as `str(Mounting)`; empty means the whole run. `words` is a sentence. `p` is the
-    p-value, corrected for all suppositions tried. `cannot_tell_from` are the names of mistakes and effects
-    that explain these readings equally well; "other_mounting" means that the block was mounted in another
-    orientation. `misfit_before` and `misfit_after` its correction are root mean squares of the deviations of all
-    readings from model and data sheet, in units of the noise; noise alone gives 1.
+    `name` is a `MistakeName`; `installations` are mountings (`str(Mounting)`; empty: the whole run); `words` is
+    a sentence. `p` counts all suppositions tried. `cannot_tell_from` are mistakes and effects that explain the
+    readings equally well; "other_mounting" is another orientation of the block. `misfit_before` and
+    `misfit_after` are root mean squares of the deviations from model and data sheet, in units of the noise;
+    noise alone gives 1.
     """
 
     name: str
