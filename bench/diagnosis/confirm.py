@@ -84,7 +84,7 @@ class Confirmation:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the effects remove; None without one."""
+        """The fraction of the excess of reduced chi-square over 1 that effects remove; None without an excess."""
         return part_closed(self.before.reduced, self.after.reduced)
 
     @property

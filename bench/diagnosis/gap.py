@@ -101,7 +101,7 @@ class Gap:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the effects remove; None without one."""
+        """The fraction of the excess of reduced chi-square over 1 that the finds remove; None without an excess."""
         return part_closed(self.before, self.after) if self.folds else None
 
     @property

@@ -242,7 +242,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the norm of a plausible size, in noise, that free unknowns leave, in the best of `forms`."""
+        """Return the signal-to-noise ratio of a plausible size beside free unknowns, for the best of `forms`."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
 
 
@@ -398,7 +398,7 @@ def _over_run(linear: LinearSystem, own: Mask) -> Iterator[tuple[str, Floats]]:
 class FarReading:
     """A reading that is `size_u` standard uncertainties from its prediction without it.
 
-    `channel` is x, y, z, "modulus", or "setting" for the direction of a setting error. `p` is for any reading.
+    `channel` is x, y, z, "modulus", or "setting" for the direction of a setting error. `p` counts all readings.
     """
 
     installation: str
