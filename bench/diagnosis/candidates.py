@@ -29,12 +29,9 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    The sets are: all passes of a mounting from its second or a later one onwards, each single pass, and each
-    whole mounting. A whole mounting is yielded only if its installation was mounted more than once, because
-    otherwise the mounting angles describe the same change. If the effect outlasts a remount (`lasting`),
-    every mounting is yielded, and also everything from each later pass onwards, verification points included.
-    If a set contains all passes of a mounting, it has the label of the mounting in place of those of the
-    passes.
+    They are: a mounting from a later pass on, each single pass, and each whole mounting of an installation
+    mounted more than once, which mounting angles do not describe. If the effect outlasts a remount (`lasting`),
+    they are also every mounting, and all from each later pass on. Complete mountings have their own label.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -97,11 +94,7 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 
 
 class Column(NamedTuple):
-    """What one column of the design matrix estimates: a parameter, in one channel, in some mountings.
-
-    `channel` is 0, 1 or 2, or None if the value is common to all channels. `mounts` are labels of mountings
-    or passes; empty means all.
-    """
+    """What a column estimates: a parameter, in a channel (None: common), in mountings or passes (empty: all)."""
 
     parameter: str
     channel: int | None
@@ -109,12 +102,10 @@ class Column(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One form that a family may take: in which channels and mountings it acts, and with which shape.
+    """One form that a family may take: channels and mountings in which it acts, and its shape (names, SI).
 
-    `columns` are the indices of the variant's columns in `Candidates.columns`. The last `starts` of them are
-    starting states of mountings (`Parameter.start_of`); the others are `sizes`. `shape` has the name and the SI
-    value of each shape parameter. For an unnamed family, `where` says in words where it acts, and `term` holds
-    its formula, if it has one.
+    `columns` are indices in `Candidates.columns`; the last `starts` are starting states (`Parameter.start_of`),
+    the others `sizes`. For an unnamed family, `where` says where it acts, and `term` is its formula, if any.
     """
 
     family: str
@@ -146,12 +137,9 @@ class Variant(NamedTuple):
 class Candidates:
     """All variants that the search compares, with the columns that they need.
 
-    `columns` (N, P): each column is the change of the N rows of the linear system by a parameter of plausible
-    size. `kinds` says what each column estimates. `scale` (P,) is the plausible size of each column's
-    parameter in SI, or 1 if the family is unnamed. `families` are the distinct names. `by_family` has the
-    indices of all variants, sorted by family; those of family number f begin at
-    `by_family[family_starts[f]]`. `log_prior` (families,) is ln of the probability that a family is missing,
-    given that exactly one is.
+    `columns` (N, P) are changes of the rows by plausible sizes, of `kinds`, and `scale` (P,) these sizes in SI,
+    1 for unnamed families. `by_family` are the indices of the variants by family, from `family_starts`;
+    `log_prior` (families,) is ln of the probability that a family is the one that is missing.
     """
 
     columns: Floats
@@ -202,11 +190,7 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return the result of `plausible_columns`, from an earlier computation where possible.
-
-        An effect that does not depend on earlier readings is computed once for all rows. If it acts in some
-        mountings only, its column has zeros in the rows of all other mountings.
-        """
+        """Return `plausible_columns`; without a history, all rows are computed once and other mountings are 0."""
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
@@ -218,10 +202,7 @@ class Collector:
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
-        """Add a column (N,), the change of the rows by one plausible size (`scale` in SI). Return its index.
-
-        The index is that of the column in `Candidates.columns`.
-        """
+        """Add a column (N,), the change of the rows by the plausible size `scale` (SI); return its index."""
         self.columns.append(column)
         self.kinds.append(kind)
         self.scale.append(scale)
@@ -236,10 +217,7 @@ class Collector:
         *,
         several: bool = False,
     ) -> None:
-        """Add a variant of an unnamed family that has all the `columns`, each (N,).
-
-        `where` says in words where it acts. With `several`, a single column makes no variant: it is no pattern.
-        """
+        """Add a variant of an unnamed family with all `columns`; with `several`, a single one is no pattern."""
         kind = Column(family, channels[0] if len(channels) == 1 else None)
         places = tuple(self.add(column, kind, 1.0) for column in columns)
         if len(places) > several:
@@ -247,11 +225,7 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates plus the terms of the residual dictionary, as unnamed families with a formula.
-
-    Terms of one course that act on the same quantity of the model are one family, whatever their channels and
-    sizes.
-    """
+    """Return the candidates plus terms of the residual dictionary; a course in one quantity is one family."""
     columns: list[Floats] = []
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channels, sizes in dictionary(linear):
@@ -270,11 +244,9 @@ def is_form(candidates: Candidates, family: str) -> bool:
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
-    """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
+    """Return the candidates without unnamed patterns that an effect of the catalogue reproduces.
 
-    A pattern is dropped if all its columns lie in the span of the columns of an effect in one shape, up to
-    `ALIKE` of the squared length. The comparison is made after `white`, which maps columns to white noise and
-    projects the coefficients out.
+    After `white`, all columns of such a pattern lie in the span of one shape of the effect, up to `ALIKE`.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -305,10 +277,9 @@ def make_candidates(
 ) -> Candidates:
     """Return every effect that the model may lack for these readings, and the unnamed patterns.
 
-    An effect is left out if its name is in `absent`, if it is in volts and the signals are not, or if the
-    model has it already. `unit_noise`, the noise of a reading in the unit of the signal, is the prior size of
-    the unnamed patterns. `mount_sets` and `unnamed` replace the functions that choose the mountings of an
-    effect and that add the unnamed patterns; readings of several runs need others.
+    Left out are the effects `absent`, those in volts for other signals, and those of the model. `unit_noise` is
+    the prior size of unnamed patterns, unit of the signal. `mount_sets` and `unnamed` choose mountings and
+    patterns.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
@@ -325,15 +296,11 @@ def make_candidates(
 
 
 def in_volts(effect: Effect) -> bool:
-    """Return whether an effect has a parameter in volts.
-
-    Such a parameter has no plausible size for signals in counts or g.
-    """
+    """Return whether an effect has a parameter in volts, which has no plausible size for other signals."""
     return any(parameter.unit.partition("/")[0].endswith("V") for parameter in effect.parameters)
 
 
 def _in_model(variant: Variant, effects: Sequence[AppliedEffect]) -> bool:
-    """Return whether the model has this effect already, in one of these channels and mountings."""
     channels = {CHANNELS[c] for c in variant.channels}
     return any(
         applied.effect.name == variant.family
@@ -415,10 +382,7 @@ def _add_form(
 def _starts(
     collector: Collector, effect: Effect, shape: tuple[tuple[str, float], ...]
 ) -> dict[int | None, list[int]]:
-    """Add the columns of the starting states, one for each mounting, and return their indices by channel.
-
-    An amplitude of 1 is the standard deviation of the state if the effect has its plausible size.
-    """
+    """Add a starting state of standard deviation 1 for each mounting; return the indices of columns by channel."""
     linear = collector.linear
     index: dict[int | None, list[int]] = {}
     for start in (p for p in effect.parameters if p.start_of):
@@ -455,10 +419,9 @@ def plausible_columns(
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
 ) -> dict[int | None, Floats]:
-    """Return the change of the N rows if one parameter of an effect has its plausible size, shape (N,) each.
+    """Return the change of the rows (N,) by one plausible size, by channel number, or None if common.
 
-    The result has an entry for each channel number; for a parameter common to all channels its only key is
-    None. The effect acts in `mounts` (empty: everywhere), with the shape parameters `shape` in SI.
+    The effect acts in `mounts` (empty: everywhere), with the shape parameters `shape` in SI.
     """
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
@@ -473,10 +436,9 @@ def plausible_columns(
 
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
-    """Add two unnamed patterns for each channel: a free value for each angle, and one for each pass.
+    """Add, for each channel, a free value of prior size `unit` for each angle, and one for each pass.
 
-    The values differ between installations and between the visits (series) of a run. `visit` (n,) is the number
-    of the visit of each reading. `unit` is the prior size of a value, in the unit of the signal.
+    The values differ between installations and between visits; `visit` (n,) is that of each reading.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
@@ -507,11 +469,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
-    """Yield an indicator column (N,) for each combination of labels that occurs in the rows `mine`.
-
-    Each of `labels` has one label per row. The column is 1 in the rows of `mine` with this combination and 0
-    in all others.
-    """
+    """Yield an indicator column (N,) for each combination of the labels of the rows that occurs in `mine`."""
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
@@ -524,11 +482,9 @@ OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 @dataclass(frozen=True)
 class KnownBench:
-    """Properties of a bench that exclude some effects; None where a property is unknown.
+    """Properties of a bench that exclude effects (None: unknown): a meter for each channel, fixed ranges.
 
-    `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
-    `scale_on_axis`: the scale of the dividing head is on the axis that turns the block, without a gear
-    between them.
+    `scale_on_axis`: the scale of the head is on the axis of the block, without a gear.
     """
 
     own_meters: bool | None = None
@@ -546,11 +502,7 @@ class KnownBench:
         )
 
     def absent(self, readings: Readings) -> dict[str, str]:
-        """Return the effects of the catalogue that this bench or these readings cannot have, with reasons.
-
-        The keys are names of effects, the values the reasons. Voltmeter ranges recorded in the readings take
-        precedence over `fixed_ranges`.
-        """
+        """Return effects that bench or readings cannot have, with reasons; recorded ranges come first."""
         fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = _ranges(readings)
         if recorded:
@@ -585,7 +537,6 @@ class KnownBench:
 
 
 def _ranges(readings: Readings) -> set[str]:
-    """Return the voltmeter ranges recorded in the readings."""
     return {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
 
 

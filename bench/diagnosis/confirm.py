@@ -41,10 +41,9 @@ Word = Literal["confirmed", "changed", "gone"]
 
 @dataclass(frozen=True)
 class Model:
-    """The quality of one fit: reduced chi-square and root mean square of the residuals.
+    """Reduced chi-square, root mean square of the residuals, and that of noise alone, of one fit.
 
-    `expected_rms_g` is the root mean square that noise alone would give. For records at a known input, both
-    root mean squares are in V in spite of their names (`Confirmation.unit`).
+    The last two are in V for records at a known input (`Confirmation.unit`).
     """
 
     reduced: float
@@ -54,11 +53,10 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """One effect of the model, compared with the new readings.
+    """One effect of the model, compared with the new readings, which may not show it (`verdict` None).
 
-    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the hypothesis
-    that the values have not changed; `p_none`, the p-value of the hypothesis that there is no effect. `found` are
-    the values in the model; `now`, the values estimated from the new readings alone.
+    `p_same` and `p_none` are the p-values of unchanged values and of no effect; `found` and `now`, the values
+    in the model and those of the new readings alone.
     """
 
     applied: AppliedEffect
@@ -71,12 +69,10 @@ class EffectNow:
 
 @dataclass(frozen=True)
 class Confirmation:
-    """The result of a confirmation: fits of the new readings, `before` without the effects, `after` with them.
+    """The result of a confirmation: fits of new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the probability that noise alone gives at least the chi-square of the fit with the effects.
-    `effects` has the verdict on each effect. `diagnosis` is the diagnosis of the new readings with the model: a
-    `FreeDiagnosis` if they are free positions only, a `RecordDiagnosis` for a record at a known input. Root mean
-    squares are in `unit`.
+    `p_after` is the p-value of the chi-square with the effects; `effects` has their verdicts; `diagnosis` is
+    that of the new readings with the model. Root mean squares are in `unit`.
     """
 
     before: Model
@@ -88,19 +84,15 @@ class Confirmation:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the effects remove.
-
-        None without an excess.
-        """
+        """The fraction of the excess of reduced chi-square over 1 that effects remove; None without an excess."""
         return part_closed(self.before.reduced, self.after.reduced)
 
     @property
     def verdict(self) -> Word:
-        """The verdict on the model as a whole: "gone", "confirmed" or "changed".
+        """The verdict on the model; effects that these readings could not show do not count.
 
-        Effects that these readings could not show do not count. "gone": none of the other effects is present.
-        "confirmed": all other effects are unchanged, and either they remove at least `MOSTLY` of the excess of
-        chi-square, or chance explains what remains. "changed": anything else.
+        "gone": no effect is present. "confirmed": all are unchanged, and they remove `MOSTLY` of the excess of
+        chi-square, or chance explains the rest. Otherwise "changed".
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
@@ -116,10 +108,9 @@ def confirm(
     nominal_scale_factors: Floats | None = None,
     cache: ThresholdCache | None = None,
 ) -> Confirmation:
-    """Compare new readings with a model that has effects, and diagnose the readings for further effects.
+    """Compare new readings with the effects of a model, and diagnose them for further ones, as `diagnose`.
 
-    The arguments are those of `diagnose`. Raises `CalibrationError` if the readings do not determine the
-    coefficients, or could not show any of the effects.
+    Raises `CalibrationError` if they do not determine the coefficients, or could not show any of the effects.
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected = diagnosis.mistakes.corrected
@@ -129,23 +120,20 @@ def confirm(
 
 
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
-    """Compare free positions with a model that has effects, and diagnose them for further effects.
+    """Compare free positions with the effects of a model, and diagnose them for further ones.
 
-    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
-    effects.
+    Raises `CalibrationError` if they do not determine the coefficients, or could not show any of the effects.
     """
     diagnosis = diagnose_free(tables, None, model)
     return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
-    """Compare a new record at a known input with a model's effects, and diagnose it for further ones.
+    """Compare a record at a known input with a model's effects, and diagnose it for further ones.
 
-    The effects keep their values. Their sizes from the new record alone are averages over the shapes that this
-    record allows, so that u includes the uncertainty of a lag, a width or a time constant, and of the state at
-    the start of a lag; a jump keeps its time, and a supply its rail. Root mean squares are in V. Raises
-    `CalibrationError` if the record cannot be evaluated,
-    or could not show any of the effects.
+    Root mean squares are in V. Sizes from the record alone are averages over shapes and states that it allows,
+    which their u includes; a jump keeps its time, a supply its rail. Raises `CalibrationError` if the record
+    cannot be evaluated, or could show none of the effects.
     """
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
@@ -193,10 +181,9 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Return the comparison of two fits of the readings that `diagnosis` has diagnosed.
+    """Return the comparison of fits without and with (`having`) the effects of the model.
 
-    `without` is the linear system without the effects of the model; `having`, the system with them. Raises
-    `CalibrationError` if the readings could not show any of the effects.
+    Raises `CalibrationError` if the readings could not show any of the effects.
     """
     noise = diagnosis.noise
     after, chi2 = _left(having, noise)
@@ -232,7 +219,7 @@ def _left(linear: LinearSystem, noise: NoiseSize) -> tuple[Model, float]:
 
 
 def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
-    """Return the chi-square of a fit: the least sum of squares of the residuals of readings and priors."""
+    """Return the chi-square of a fit: squares of the residuals of readings and priors."""
     nothing = np.zeros((len(linear), 0))
     fitted = posterior(linear, nothing, noise)
     white = whiten_rows(linear, noise, (linear.response - linear.design(nothing) @ fitted.mean)[:, None])
@@ -242,9 +229,7 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    An `InPart` effect (a part of a shape, of uncertain size) keeps its value from the model, as these
-    readings alone determine this value no better. Raises `CalibrationError` if the readings could show none
-    of the effects.
+    An `InPart` effect keeps its value, which these readings determine no better. Raises as `judged` does.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -259,12 +244,10 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 
 @dataclass(frozen=True)
 class EstimatedEffects:
-    """The m parameters of a model's effects: their values in the model, and how these change in the new readings.
+    """The m parameters of a model's effects, and how they change in the new readings.
 
-    `plausible` (m,) is the plausible size of each parameter in SI; the other arrays are multiples of it. `found`
-    (m,) and `u` (m,) are the value and the standard uncertainty in the model. `change` (m,) is the estimate from
-    the new readings minus `found`. `covariance` (m, m) is the covariance of the estimate from the new readings;
-    `u` is not part of it.
+    `plausible` (m,) is in SI, the others are multiples of it: `found` and `u` in the model, `change` to the new
+    estimate, and its `covariance` (m, m), without `u`.
     """
 
     plausible: Floats
@@ -285,11 +268,10 @@ class EstimatedEffects:
 def judged(
     model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
 ) -> tuple[EffectNow, ...]:
-    """Return the verdict on each effect of a model, in the order of its effects.
+    """Return the verdict on each effect of a model, without `InPart` effects, which have none.
 
-    `unknowns` say which effect, parameter and channel each of the m entries of `of` belongs to. `InPart`
-    effects (parts of the shape of another effect) have no verdict of their own and are skipped. Raises
-    `CalibrationError` if the readings could not show any of the effects.
+    `unknowns` describe the m entries of `of`. Raises `CalibrationError` if the readings could not show any of
+    them.
     """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
@@ -332,15 +314,11 @@ def judged(
 def _shown(
     estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
 ) -> tuple[float, float, float, float]:
-    """Return four numbers: the parameters' size in the model, the least that would show, `p_same` and
-    `p_none`.
+    """Return size in the model, least size that would show, both in units of noise, `p_same` and `p_none`.
 
-    The p-values are those of `EffectNow`. The sizes are in units of noise. The parameters, which have the
-    indices `places`, are judged in the directions that the readings determine. A direction is an eigenvector
-    of their covariance: a sum or a difference of parameters may be determined although no parameter is.
-    `apart` is false if the values of several mountings are judged together. The values in the model are then
-    correlated, but a model file states no correlations. Therefore the u of the model in each direction is at
-    most the u of these readings.
+    The parameters `places` are judged in directions (eigenvectors) that the readings determine. Not `apart`,
+    values of several mountings are correlated in the model, which states no correlations: its u in a direction
+    is then at most that of the readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -362,12 +340,9 @@ def _shown(
 def _estimated(
     linear: LinearSystem, own: Floats, found: Floats, diagnosis: Diagnosis | FreeDiagnosis
 ) -> tuple[Floats, Floats]:
-    """Return the change of the effects from the values `found` (m,), and its covariance.
+    """Return the change from the values `found` (m,), in plausible sizes, and its covariance.
 
-    Both are in units of the plausible sizes.
-
-    Additional effects found in these readings are estimated as well. An additional effect that would hide the
-    model's effects is left out, because it would represent their change.
+    Additional finds are estimated as well, unless they hide the model's effects, whose change they then are.
     """
     count, columns = len(found), own
     fitted = posterior(linear, columns, diagnosis.noise)

@@ -50,11 +50,7 @@ An effect that would have to be larger is no alias; an effect that shows only be
 
 @dataclass(frozen=True)
 class Data:
-    """Scalar products of data sets with themselves and with the columns of the candidates.
-
-    A data set is a vector r of N whitened residuals, measured minus predicted. `square` (ratios, sets) is r^T r
-    of each data set at each noise ratio. `along` (ratios, P, sets) is A^T r, where A are the P whitened columns.
-    """
+    """Products of whitened residuals r: r^T r, `square` (ratios, sets); A^T r, `along` (ratios, P, sets)."""
 
     square: Floats
     along: Floats
@@ -63,18 +59,10 @@ class Data:
         """Return the products of only the data sets in the slice `of`."""
         return Data(self.square[:, of], self.along[:, :, of])
 
-    @property
-    def sets(self) -> int:
-        """The number of data sets."""
-        return int(self.square.shape[1])
-
 
 @dataclass(frozen=True)
 class Whitened:
-    """The scalar products of the candidates' columns, whitened at each noise ratio of a grid.
-
-    `kept` is a cache of scores, for repeated searches in the same data.
-    """
+    """The scalar products of the candidates' columns at each noise ratio; `kept` is a cache of scores."""
 
     grid: NoiseGrid
     candidates: Candidates
@@ -97,11 +85,7 @@ class Whitened:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """The variants, grouped by their number p of columns.
-
-        A group is a tuple of three arrays: the indices (v,) of its v variants; the indices (v, p) of their
-        columns; the Gram matrices (ratios, v, p, p) of these columns.
-        """
+        """Variants by number p of columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -112,11 +96,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the scalar products of data sets with the columns, from which the evidence follows.
-
-        `response` (N, sets) has the residuals, measured minus predicted, of each data set as a column, in the
-        unit of the signal.
-        """
+        """Return the products of data sets with the columns; `response` (N, sets) has residuals, unit of signal."""
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
         square = np.empty((len(white), sets))
         along = np.empty((len(white), self.candidates.columns.shape[1], sets))
@@ -131,11 +111,10 @@ class Whitened:
 
 @dataclass(frozen=True)
 class Group:
-    """Variants with the same number p of columns, from which the known columns are projected out.
+    """The variants with p columns, from whose Gram matrices the known columns are projected out.
 
-    `members` (variants,) are the indices of the variants; `columns` (variants, p), the indices of their columns.
-    The Gram matrix of each variant's projected columns has the eigenvectors `vectors` (ratios, variants, p, p)
-    and the eigenvalues `values` (ratios, variants, p).
+    These have the eigenvectors `vectors` (ratios, v, p, p) and `values` (ratios, v, p); `members` (v,) and
+    `columns` (v, p) are indices.
     """
 
     members: Ints
@@ -155,10 +134,9 @@ class Group:
 class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
-    `inverse` (ratios, known, known) is the inverse Cholesky factor of the Gram matrix of the known columns,
-    including their prior (1 sigma: `KNOWN_SIZE` plausible sizes). `half` (ratios, known, P) is `inverse`
-    times the scalar products of the known columns with all P columns. `log_det` (ratios,) is the part of ln
-    of the evidence that depends on the known columns, but not on the data.
+    `inverse` (ratios, k, k) is the inverse Cholesky factor of their Gram matrix with the prior (`KNOWN_SIZE`),
+    `half` (ratios, k, P) its product with the scalar products of all columns, `log_det` (ratios,) their part of
+    ln of the evidence.
     """
 
     whitened: Whitened
@@ -196,19 +174,15 @@ class Search:
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
     def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of the k `columns`, with the known columns projected out.
-
-        `ratio` is the index of the noise ratio.
-        """
+        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out."""
         gram = self.whitened.among(ratio, columns)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the scalar products (P,) of a weighted sum of columns with all P columns.
+        """Return the products (P,) of all columns with the sum of `columns` (indices) times `sizes` (k,).
 
-        The weighted sum is of the k `columns` (indices), with the weights `sizes` (k,). The known columns are
-        projected out. `ratio` is the index of the noise ratio.
+        The known columns are projected out; `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across(chosen, slice(ratio, ratio + 1))[0]
@@ -224,17 +198,14 @@ class Search:
         )
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence of the model with the known columns, for the first data set of `data`.
-
-        The size of the noise is integrated out, the noise ratio averaged over its prior.
-        """
+        """Return ln of the evidence for the first data set, with size and ratio of the noise integrated out."""
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
     def score(self, data: Data) -> Scores:
         """Return ln of the Bayes factor of adding each variant to the model, for each data set."""
         left = self.left_over(data)
-        begun = tracked(range(0, left.sets, CHUNK), "what chance alone would show")
+        begun = tracked(range(0, left.square.shape[1], CHUNK), "what chance alone would show")
         parts = [self._score(left.part(slice(i, i + CHUNK))) for i in begun]
         return Scores(
             np.concatenate([p.variants for p in parts], axis=1),
@@ -247,7 +218,9 @@ class Search:
         of_null = base[:, None] + grid.log_likelihood(left.square)
         null = _log_sum(of_null.copy())
         # a variant with a column that the model already has
-        out = np.full((len(self.whitened.candidates.variants), left.sets), np.finfo(np.float64).min)
+        out = np.full(
+            (len(self.whitened.candidates.variants), left.square.shape[1]), np.finfo(np.float64).min
+        )
         for group in self.groups:
             squares = group.squares(left)
             # in place: a new array for each step would take as long as the logarithms
@@ -266,20 +239,13 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """For each variant, ln of the Bayes factor of adding it to the present model.
-
-    `variants` (variants, sets) has an entry for each data set. `ratio` (ratios, sets) is the posterior
-    probability of each noise ratio under the present model.
-    """
+    """ln of the Bayes factor of each variant (variants, sets); probability of each noise `ratio` (ratios, sets)."""
 
     variants: Floats
     ratio: Floats
 
     def families(self, candidates: Candidates) -> Floats:
-        """Return ln of the Bayes factor of each family, shape (families, sets).
-
-        The Bayes factor of a family is the mean over the family's forms, so that many forms are no advantage.
-        """
+        """Return ln of the Bayes factor of each family, a mean over forms, shape (families, sets)."""
         ordered = self.variants[candidates.by_family]
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
@@ -329,12 +295,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 
 @dataclass(frozen=True)
 class Threshold:
-    """The least evidence that counts as a finding, and the probability that chance exceeds it.
+    """The least evidence that counts as a finding, which a complete model exceeds with `probability`.
 
-    The evidence is ln of the odds that the model lacks some effect. If the model is complete, the evidence
-    still exceeds `value` by chance, with `probability`. The upper tail of these chance values is exponential:
-    they exceed `start` with probability `p_start`, and `start` plus x with probability `p_start` exp(-x /
-    `decay`). `nulls` is the number of simulated data sets from which the tail was determined.
+    It is ln of the odds that an effect is missing. By chance it exceeds `start` plus x with probability
+    `p_start` exp(-x / `decay`), determined from `nulls` simulated data sets.
     """
 
     value: float
@@ -350,30 +314,20 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the probability that chance gives at least this `evidence`, or 1 if it is below the fitted tail.
-
-        As the evidence is that of all candidates together, the p-value counts all tests.
-        """
+        """Return the p-value of this `evidence`, which counts all tests; 1 if it is below the fitted tail."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
 
 
 def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
-    """Return ln of the odds that any effect is missing, shape (sets,).
-
-    It is ln of the sum of the Bayes factors of all families, weighted by their prior probabilities.
-    """
+    """Return ln of the odds that any effect is missing, shape (sets,): a sum over families with their priors."""
     families = scores.families(whitened.candidates) + whitened.candidates.log_prior[:, None]
     return np.asarray(logsumexp(families, axis=0), dtype=np.float64)
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return residuals (N, sets) of data sets simulated with a complete model.
-
-    `sigma` is the noise of a reading in the unit of the signal, and `ratios` (sets,) the noise ratio of each
-    data set.
-    """
+    """Return residuals (N, sets) of a complete model, with noise `sigma` and a noise ratio for each set."""
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * linear.relative[:, None]
@@ -385,11 +339,7 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold for these readings from `nulls` data sets simulated with a complete model.
-
-    The noise ratio of each data set is drawn from its prior, which follows from the setting error in the
-    bench file.
-    """
+    """Return the threshold from `nulls` data sets of a complete model; noise ratios are drawn from their prior."""
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
@@ -399,11 +349,9 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that data sets exceed in the fraction `FALSE_ALARMS`, by a fit to the upper tail.
+    """Return the threshold that the `evidence` (sets,) of complete models exceeds in `FALSE_ALARMS` of cases.
 
-    `evidence` (sets,) is that of each data set simulated with a complete model. The tail begins at the level
-    `OFTEN`, the largest probability used with `Threshold.at`. The quantile of the fitted exponential has a
-    smaller variance than the empirical quantile.
+    The tail begins at `OFTEN`; the quantile of its exponential has a smaller variance than the empirical one.
     """
     ordered = np.sort(evidence)
     many = max(int(OFTEN * len(ordered)), 10)
@@ -417,19 +365,14 @@ def fit_tail(evidence: Floats) -> Threshold:
 class ThresholdCache:
     """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    The name of a file is a hash of all that the threshold depends on: angles (rounded to 1 arcmin), times (10
-    s), temperatures (0.01 K), directions, mountings, passes, the limits of the stand, the scale of the block
-    and the noise (10 %), the catalogue and the priors.
+    Its name is a hash of all that a threshold depends on: angles (to 1 arcmin), times (10 s), temperatures
+    (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
     """
 
     folder: Path | None
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold for these readings from the cache, or simulate it and store it there.
-
-        `setting_rad` is the setting error that the bench file states. A cache that cannot be written is
-        ignored.
-        """
+        """Return the threshold from the cache, or simulate and store it; a folder that is read-only is ignored."""
         if self.folder is None:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"
@@ -481,11 +424,7 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return a line for each effect of the catalogue that is defined by a formula: name, stage and formula.
-
-    The parameters alone do not define such an effect, so that the key of a cached threshold includes these
-    lines.
-    """
+    """Return name, stage and formula of each effect defined by a formula, for the key of a threshold."""
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

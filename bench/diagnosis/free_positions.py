@@ -48,7 +48,7 @@ from bench.diagnosis.pipeline import effects_of, verdict_of
 from bench.diagnosis.posterior import NoiseSize, Posterior, fit_found, noise_size, posterior
 from bench.diagnosis.residual_dictionary import FASTEST
 from bench.diagnosis.result import UNNAMED_WORDS, NamedEffect
-from bench.diagnosis.where import ResidualPattern, far_readings
+from bench.diagnosis.visibility import ResidualPattern, far_readings
 from bench.model.effects import CATALOGUE, Effect
 from bench.model.effects.base import Subsystem
 from bench.model.forward import ForwardModel
@@ -61,10 +61,8 @@ def diagnose_free(
 ) -> FreeDiagnosis:
     """Diagnose free positions of one or several sensors, from which only |a| = 1 g is known.
 
-    Each of `tables` has the positions of one sensor in one record. For `one_sensor` see `make_rows`. The
-    effects of a given `model` are subtracted with their values, and estimated again together with the
-    coefficients. Raises `CalibrationError` if the positions of a sensor do not determine its nine
-    coefficients.
+    Each table is of one sensor in one record; `one_sensor` is as in `make_rows`. Effects of `model` are
+    estimated again. Raises `CalibrationError` if positions do not determine the nine coefficients of a sensor.
     """
     rows, apart, left_out = without_outliers(make_rows(tables, one_sensor, model))
     linear = make_system(rows)
@@ -122,7 +120,6 @@ def _of_records(effect: NamedEffect, between: BetweenRecords | None) -> NamedEff
 
 
 def _fit(linear: FreeSystem, effects: Floats, fitted: Posterior) -> FreeFit:
-    """Return the coefficients of each sensor with u, and residuals, for effects with the columns (N, p)."""
     rows, spread = linear.positions, np.sqrt(np.diag(fitted.covariance))
     blocks, u = [], np.zeros((rows.sensors, FIXED))
     for sensor, block in enumerate(rows.block):
@@ -160,7 +157,6 @@ COMMON: Final = "common to the sensors"
 
 
 def _candidates(linear: FreeSystem, sigma: float) -> Candidates:
-    """Return the candidates for free positions; `sigma` is the noise of a position, g."""
     unseen = [
         effect.name
         for effect in CATALOGUE.values()
@@ -183,10 +179,7 @@ def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[s
 
 
 def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
-    """Add unnamed changes of zeros and scale factors by record, and zeros that wander.
-
-    The changes differ by sensor, are common to all sensors, or are the sum of a common and a separate change.
-    """
+    """Add zeros and scale factors that differ by record, by sensor or in common, and zeros that wander."""
     records = np.unique(rows.record)
     several = [s for s in range(rows.sensors) if len(np.unique(rows.record[rows.sensor == s])) > 1]
     for family, coefficients in ((ZERO_BY_RUN, ZEROS), (SCALE_BY_RUN, SCALES)):
@@ -220,10 +213,7 @@ def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
 
 
 def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
-    """Return the noise grid and the candidate effects.
-
-    The noise is the scatter after a fit of separate zeros and scale factors to each record.
-    """
+    """Return the noise grid and the candidates; the noise is the scatter of a fit of each record by itself."""
     left, _, freedom = _loose(linear)
     if freedom < LEAST_FREEDOM:
         raise CalibrationError(
@@ -236,10 +226,9 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
 
 
 def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Floats, int]:
-    """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row number.
+    """Fit zeros (`drifting`: linear in the row) and scale factors of each record.
 
-    Return the residuals (N,); for each position, the fraction (N,) of its error that remains in its residual; and
-    the degrees of freedom.
+    Return the residuals (N,), the fraction (N,) of each error that remains in its residual, and the freedom.
     """
     rows = linear.positions
     cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
@@ -256,11 +245,10 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 
 
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
-    """Return the positions without outliers, a sentence for each outlier, and the origins of the outliers.
+    """Return the positions without outliers, a sentence for each outlier, and their tables and rows (k, 2).
 
-    The origins (k, 2) are, for each of the k outliers, the index of its table and its row there. Step by step,
-    the position with the largest residual is compared with its prediction from all other positions, and with
-    their scatter. An outlier is twice as far off as a far reading of a run, as real sensors have heavy tails.
+    The largest residual is compared with its prediction from all others, step by step. An outlier is twice as
+    far off as a far reading of a run, as real sensors have heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -286,11 +274,9 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the u of |a| at one position, g, that follows from the scatter of the samples.
+    """Return the u of |a| at one position, g, from the scatter of independent samples: root mean square.
 
-    Samples count as independent. The variance of each signal is the variance of its samples (`signal_sd` squared)
-    divided by their number, and is converted to g by the scale factor. The result is the root mean square over
-    all positions and channels; NaN if a table has no `signal_sd`.
+    It is NaN if a table has no `signal_sd`.
     """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):

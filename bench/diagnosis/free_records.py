@@ -48,10 +48,8 @@ SCALES: Final = (0, 3, 5)
 class FreeRows:
     """All N free positions of all sensors, one row each, sorted by sensor.
 
-    `tables` has, for each sensor, the positions of all records together; `block` has, for each sensor, the
-    coefficients that fit them best. `sensor` (N,) is the index of each row's sensor; `record` (N,), the index of
-    its record. `origin` (N, 2) tells where each row was read: the index of the given table, and the row in that
-    table. `effects` are the effects of the given model.
+    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them; `sensor` and
+    `record` (N,) are indices; `origin` (N, 2) is the given table and row; `effects` are those of the model.
     """
 
     tables: tuple[Readings, ...]
@@ -81,10 +79,7 @@ class FreeRows:
 
     @cached_property
     def coefficients(self) -> Floats:
-        """The derivatives of -|a| by the nine coefficients of each sensor, shape (N, 9 × sensors).
-
-        The columns of a sensor are zero in the rows of all others.
-        """
+        """The derivatives of -|a| by the coefficients, (N, 9 × sensors); 0 in other sensors' rows."""
         columns = np.zeros((len(self), OWN * self.sensors))
         for number, (block, table) in enumerate(zip(self.block, self.tables, strict=True)):
             slopes, _ = modulus_slopes(block.specific_force(table.signal), block)
@@ -92,18 +87,12 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if one coefficient grows by the scale factor of the `channel`.
-
-        This coefficient has the index `of[channel]` among the nine of the `sensor`.
-        """
+        """Return the change of |a| (N,), g, if the coefficient `of[channel]` grows by the scale factor."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return the sensor and the record of a row in words, followed by a comma.
-
-        Each is named only if there are several; the result is empty for one sensor in one record.
-        """
+        """Return sensor and record of a row in words with a comma, each only if there are several."""
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
@@ -120,9 +109,8 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The effects of the given model are subtracted from the response, and the `random` columns estimate them
-    again. In place of mountings, an effect names the sensors on which it acts ("sensor 1"); an effect that
-    names none acts on all sensors.
+    The model's effects are subtracted and estimated again by `random` columns. In place of mountings, an effect
+    names sensors ("sensor 1"), or none for all.
     """
 
     positions: FreeRows
@@ -192,10 +180,9 @@ def _view(block: Block, table: Readings) -> View:
 
 
 def fit_sensor(signal: Floats) -> Block:
-    """Return the coefficients that best fit |a| = 1 g to the signals (m, 3) of m positions of one sensor.
+    """Return the coefficients, K upper triangular, that best fit |a| = 1 g to the signals (m, 3).
 
-    K is upper triangular, as |a| does not depend on a rotation of the axes. Raises `CalibrationError` if the
-    positions are too few, or if the fit leaves more than readings at rest can.
+    Raises `CalibrationError` if the positions are too few, or if the fit leaves more than readings at rest can.
     """
     block = first_guess_free(signal)
     for _ in range(STEPS):
@@ -219,12 +206,9 @@ def make_rows(
 ) -> FreeRows:
     """Return the free positions of several tables, assigned to sensors and records.
 
-    Each of `tables` is from one sensor in one record. Tables with the same times are of the same record, and
-    so of different sensors. `one_sensor` is True if all tables are of one sensor, and False if each table is
-    of a different sensor. If `one_sensor` is None, the coefficients show which tables are of the same sensor.
-    The effects of `model` are kept for `make_system`. Raises `CalibrationError` if the positions of a sensor
-    do not determine its coefficients, if units differ, or if an effect of the model needs an angle, time or
-    temperature that the tables lack.
+    Tables of the same times are of one record. `one_sensor`: all are of one sensor (True), each of another
+    (False), or coefficients decide (None). Raises `CalibrationError` if positions do not determine the
+    coefficients, units differ, or an effect of `model` needs an angle, time or temperature that is missing.
     """
     units = {table.unit: table.source for table in tables}
     if len(units) > 1:
@@ -259,7 +243,6 @@ def make_rows(
 
 
 def _records(tables: Sequence[Readings]) -> list[int]:
-    """Return the index of the record of each table. Tables with the same times are of one record."""
     first: list[Floats] = []
     numbers = []
     for table in tables:
@@ -278,7 +261,12 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     """Return the index of the sensor of each table, by its coefficients; a record has a sensor only once."""
     if len(tables) == 1 or one_sensor is not None:
         return [0 if one_sensor or len(tables) == 1 else i for i in range(len(tables))]
-    features = np.stack([_feature(table) for table in tables])
+    own, _, zero = OTHER_BLOCK
+    blocks = [fit_sensor(table.signal) for table in tables]
+    scales = [np.diag(block.K) for block in blocks]
+    features = np.stack(
+        [np.append(np.log(np.abs(s)) / own, b.U0 / s / zero) for b, s in zip(blocks, scales, strict=True)]
+    )
     groups = [[i for i, r in enumerate(records) if r == number] for number in dict.fromkeys(records)]
     groups.sort(key=len, reverse=True)
     known = [[i] for i in groups[0]]
@@ -300,21 +288,13 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
     return [sensors[i] for i in range(len(tables))]
 
 
-def _feature(table: Readings) -> Floats:
-    block, (own, _, zero) = fit_sensor(table.signal), OTHER_BLOCK
-    scale = np.diag(block.K)
-    return np.concatenate([np.log(np.abs(scale)) / own, block.U0 / scale / zero])
-
-
 @dataclass(frozen=True)
 class BetweenRecords:
     """The changes of biases between records of free positions; each record has a fit of its own.
 
-    `zero` (sensors, records, 3) are the biases in g, and `u` (sensors, records, 3) their standard uncertainties;
-    both are NaN where a record does not determine the bias. `scatter` (3,) is the standard deviation of the
-    biases about the mean of their sensor, in g. `common` (3,) is the fraction of this variance that all sensors
-    share, NaN if there is one sensor. `repeats` compares the scatter with u; if u is too small, it has the term
-    that widens u.
+    `zero` and `u` (sensors, records, 3), g, are NaN where not determined; `scatter` (3,), g, is about the mean
+    of a sensor, `common` (3,) the fraction of its variance that sensors share. `repeats` compares scatter and
+    u, and has the term that widens u.
     """
 
     zero: Floats
@@ -324,10 +304,7 @@ class BetweenRecords:
     repeats: Repeats
 
     def term_sizes(self) -> list[str]:
-        """Return the size of the term that widens u, for each channel; empty without such a term.
-
-        A size is in the form of a bench file: "1.7 mg", or a plain factor.
-        """
+        """Return the size by channel of the term that widens u as a bench file states it ("1.7 mg"), if any."""
         term = self.repeats.term
         if term is None:
             return []
@@ -360,10 +337,7 @@ class BetweenRecords:
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:
-    """Return the change of the biases between records.
-
-    None unless two records each determine the biases of the same sensor.
-    """
+    """Return the change of the biases between records; None unless a sensor has two records with biases."""
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
     u = np.full_like(zero, np.nan)
@@ -402,10 +376,7 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of `change` (sensors, records, 3) common to all sensors.
-
-    Only records that determine the biases of every sensor (`full`, (sensors, records)) count.
-    """
+    """Return the fraction (3,) of the variance of `change` common to all sensors in `full` records."""
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:
@@ -423,11 +394,7 @@ OUTLIER: Final = "outlier"
 
 @dataclass(frozen=True)
 class FreeFit:
-    """A fit to N positions of unknown orientation, of which only |a| = 1 g is known.
-
-    `block` has the coefficients of each sensor; `u` (sensors, 12), their standard uncertainties; `left` (N,),
-    the residuals of |a| - 1 in g.
-    """
+    """A fit to |a| = 1 g: coefficients of each sensor, their `u` (sensors, 12), and residuals `left` (N,), g."""
 
     block: tuple[Block, ...]
     u: Floats
@@ -438,11 +405,9 @@ class FreeFit:
 class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
-    `noise` is the estimated noise of |a| at a position, g, when the model has all effects found. `stated_g` is
-    the noise expected from the scatter of the samples, NaN if the tables do not state it. `apart` has a sentence
-    for each of the k positions left out; `left_out` (k, 2) has the table and the row of each. `before` is the fit
-    with the given model; `after`, the fit with the effects found as well. `between` describes the changes between
-    records, None if unknown.
+    `noise` of |a|, g, is with all finds, `stated_g` from the samples (or NaN). `apart` has a sentence,
+    `left_out` (k, 2) table and row of positions left out. `before` and `after` are fits without and with the
+    finds; `between` has the changes between records.
     """
 
     source: str
@@ -475,10 +440,7 @@ class FreeDiagnosis(Findings):
 
     @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
-        """The effects found, one tuple for the model file of each sensor.
-
-        There is only one tuple, for all sensors, if no effect is limited to certain sensors.
-        """
+        """The effects for each sensor's model file; one tuple if none is limited to certain sensors."""
         sensors = self.rows.sensors if any(a.installations for a in self.applied) else 1
         return tuple(
             tuple(replace(a, installations=()) for a in self.applied if a.installations in ((), (label,)))

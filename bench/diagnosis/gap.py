@@ -42,9 +42,8 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 class HeldOut:
     """How well one model predicts the held-out rows, after a fit to all other rows.
 
-    `error` (n,) is measured minus predicted in the unit of the signal; `error_g` (n,) is the same in g.
-    `expected_g` (n,) is the standard deviation of `error_g` that the noise and the uncertainty of all estimates
-    imply. `chi2` is the chi-square of the errors, computed with their full covariance.
+    `error` (n,) is measured minus predicted, unit of the signal, `error_g` in g; `expected_g` is its standard
+    deviation by noise and estimates; `chi2` has their full covariance.
     """
 
     error: Floats
@@ -60,10 +59,9 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Fold:
-    """One set of held-out rows, predicted without (`before`) and with (`after`) effects.
+    """One set of held-out rows, predicted `before` and `after` finds of the other rows join the model.
 
-    The effects are those that a search of the other rows finds. `gains` maps the name of each of these
-    effects to the increase of chi-square if the prediction omits it.
+    `gains` maps the name of each find to the increase of chi-square if the prediction omits it.
     """
 
     label: str
@@ -76,9 +74,8 @@ class Fold:
 class Gap:
     """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the names of the effects that the search of all readings found. `undetermined` are the labels of
-    the sets that could not be held out, because the remaining readings do not determine the coefficients. `noise`
-    is the noise with which chi-square is computed.
+    `named` are the finds of all readings; `undetermined` are sets without which the coefficients are not
+    determined; chi-square is in units of `noise`.
     """
 
     folds: tuple[Fold, ...]
@@ -104,18 +101,12 @@ class Gap:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the effects found remove.
-
-        None if there is no excess, or nothing was held out.
-        """
+        """The fraction of the excess of reduced chi-square over 1 that the finds remove; None without an excess."""
         return part_closed(self.before, self.after) if self.folds else None
 
     @property
     def p_after(self) -> float:
-        """Probability that chance alone gives a reduced chi-square of at least `after`.
-
-        NaN if nothing was held out.
-        """
+        """Probability that chance gives a reduced chi-square of at least `after`; NaN if nothing was held out."""
         return (
             float(special.fdtrc(self.count, self.noise.freedom, self.after)) if self.count else float("nan")
         )
@@ -150,10 +141,7 @@ class Gap:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """The names of the effects found that improve the prediction of held-out readings too little.
-
-        The sum of their gains over all sets is below `LEAST_FALL`.
-        """
+        """The names of the effects whose gains over all sets sum to less than `LEAST_FALL`."""
         return tuple(
             name
             for name in dict.fromkeys(self.named)
@@ -162,12 +150,11 @@ class Gap:
 
     @property
     def shrinks(self) -> bool | None:
-        """Whether held-out readings confirm the effects found, by the registered rule.
+        """Whether held-out readings confirm the finds; None if there are none, or nothing was held out.
 
-        Chi-square must fall by at least `LEAST_FALL`, for all effects together and for each of them. Of the
-        excess of reduced chi-square over 1, at least `MOSTLY` must vanish, unless chance explains what remains.
-        Root mean squares do not count, because setting errors dominate them. None if no effect was found, or
-        nothing could be held out.
+        Chi-square must fall by `LEAST_FALL`, for all finds and for each, and `MOSTLY` of its excess must
+        vanish, unless chance explains the rest. Root mean squares do not count, because setting errors dominate
+        them.
         """
         if not self.named or not self.folds:
             return None
@@ -180,10 +167,7 @@ class Gap:
 
     @property
     def reason(self) -> str:
-        """A sentence that says why held-out readings do not confirm the effects found.
-
-        Empty if they confirm them, or if no effect was found.
-        """
+        """A sentence that says why held-out readings do not confirm the effects found; empty if they do."""
         if not self.named or self.shrinks:
             return ""
         if not self.folds:
@@ -201,10 +185,7 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return by which fraction the excess of reduced chi-square over 1 falls; None without an excess.
-
-    `before` and `after` are the reduced chi-squares of two models of the same readings.
-    """
+    """Return by which fraction the excess of reduced chi-square over 1 falls; None without an excess."""
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
@@ -212,11 +193,7 @@ HELD_OUT: Final = message("readings held out in turn")
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield each set of rows to hold out, as a label and a mask (N,): every pass, and all moduli.
-
-    The passes are those of readings in an orientation, and are yielded only if there are several. The moduli
-    are |a| at verification points and free positions, which form one set.
-    """
+    """Yield each set of rows to hold out, as label and mask (N,): passes, if several, and all moduli."""
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
     numbers = sorted(set(passes[oriented].tolist()))
@@ -229,10 +206,9 @@ def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 
 
 def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield three sets of rows to hold out, as a label and a mask (N,): every third setting of each pass.
+    """Yield every third setting or modulus of each pass, as label and mask (N,), three times.
 
-    A set begins at another setting in each pass, so that the sets differ in their angles. Moduli are treated like
-    settings.
+    A set begins at another setting in each pass, so that the sets differ in their angles.
     """
     readings, reading = linear.readings, linear.rows.reading
     third = np.full(len(linear), -1)
@@ -263,14 +239,11 @@ def measure_gap(
     search: FoldSearch = find,
     parts: Sequence[tuple[str, Mask]] = (),
 ) -> Gap:
-    """Hold out each set of rows in turn, search the other rows for effects, and predict the rows held out.
+    """Hold out each set of rows in turn, `search` the others, and predict the rows held out.
 
-    `whitened` has the candidates for all readings; `naming`, the effects found in all readings. `noise` is the
-    noise of all readings, and `setting_rad` the setting error that the bench file states. The function `search`
-    searches the other rows for at most as many effects as `naming` has. `parts` are the sets to hold out, as
-    labels and masks (N,); by default they are every pass and the moduli (`folds_of`). If the other rows do not
-    determine the effects found, or cannot distinguish their forms, every third setting is held out instead
-    (`thirds_of`).
+    `whitened`, `naming` and `noise` are of all readings; `setting_rad` is that of the bench file. `parts` are
+    labels and masks (N,), by default passes and moduli (`folds_of`); thirds (`thirds_of`) if the others do not
+    determine the finds or their forms.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
@@ -297,10 +270,8 @@ def _tell(
 ) -> bool:
     """Return whether the readings outside each held-out part show every find and determine its form.
 
-    The remaining readings show a find if they contain `MOSTLY` of the square of its signature. They do not
-    determine the form of a find if they admit another form of the family (which leaves at most `ALIAS` of the
-    signature unexplained) that all readings exclude (it leaves more than `LEAST_FALL`). Chance would then
-    choose the form that predicts the held-out part.
+    They contain `MOSTLY` of the square of its signature. They admit no form (at most `ALIAS` unexplained) that
+    all readings exclude (more than `LEAST_FALL`): chance would choose the form that predicts the held-out part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -321,10 +292,9 @@ def _tell(
 def _left_by_forms(
     linear: LinearSystem, noise: NoiseSize, columns: Floats, forms: Sequence[Ints], rows: Mask
 ) -> tuple[float, Floats]:
-    """Return the square of a signature in some rows, and the squares (forms,) that each form leaves unexplained.
+    """Return the squares, over noise, of a signature and (forms,) of what each form leaves of it.
 
-    The first of the `columns` (N, 1 + k) is the signature. Each of `forms` has the indices (0 to k - 1) of its
-    columns among the other k. The squares are in units of noise squared.
+    The signature is the first of `columns` (N, 1 + k); `forms` have the indices of theirs among the other k.
     """
     white = make_whitener(restrict(linear, rows), noise.reading, noise.setting_rad)
     seen = white @ (columns[rows] / noise.reading)
@@ -363,9 +333,7 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search the rows outside the mask `held` (N,); predict the held-out rows with and without the effects
-    found.
-    """
+    """Search the rows outside the mask `held` (N,); predict the others without and with the finds."""
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace(candidates, columns=candidates.columns[~held])
 
@@ -390,10 +358,7 @@ def _fold(
 
 
 def held_out(linear: LinearSystem, effects: Floats, noise: NoiseSize, held: Mask) -> HeldOut:
-    """Predict the rows in the mask `held` (N,) from the others, with the effects' columns `effects` (N, m).
-
-    The chi-square is computed with the covariance of the noise plus that of the estimates.
-    """
+    """Predict the rows in the mask `held` (N,) from the others, with the columns `effects` (N, m) in the model."""
     fitted = posterior(linear, effects, noise, ~held)
     design = linear.design(effects)[held]
     error = linear.response[held] - design @ fitted.mean
@@ -424,10 +389,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
-    """Return the three noise ratios of the grid that are nearest to the one estimated from all readings.
-
-    Only these are used where rows are held out, because the noise is already known well.
-    """
+    """Return the three noise ratios of the grid nearest to that of all readings, enough for held-out rows."""
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))
     first = min(max(nearest - 1, 0), len(RATIOS) - 3)

@@ -28,11 +28,9 @@ LEAST_APART: Final = 0.05
 
 @dataclass(frozen=True)
 class Orientation:
-    """The orientation of the block at the verification points, estimated from the signals.
+    """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
-    `block_from_platform` (3, 3) is the rotation matrix from platform to block axes. It differs from the
-    orientation in the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
-    `contradicts` says whether this angle is significant.
+    It differs from the bench file by `off_rad` about `axis` (3,) in block axes; `contradicts`: significantly.
     """
 
     block_from_platform: Floats
@@ -55,9 +53,7 @@ def orientation_of(
 ) -> Orientation | None:
     """Return the orientation of the block at the verification points; None if they do not determine it.
 
-    `force` (n, 3) is the specific force in block axes that the signals of each reading give; `stand_u` has
-    the standard uncertainties of the stand angles by name, rad. Source of the fit: Wahba's problem, solved by
-    singular value decomposition (Markley, 1988).
+    `force` (n, 3) is in block axes; `stand_u`, rad. Wahba's problem by singular values (Markley, 1988).
     """
     rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
     if VERIFICATION not in model.installations or len(rows) < 2:
@@ -75,17 +71,6 @@ def orientation_of(
     off = float(np.linalg.norm(rotation))
     limits = float(np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES]))
     return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_DIRECTION, FAR * limits))
-
-
-def as_measured(model: ForwardModel, orientation: Orientation | None) -> ForwardModel:
-    """Return the model with the orientation of installation V replaced by the measured one.
-
-    If the measured one is None or does not contradict the bench file, the model is returned unchanged.
-    """
-    if orientation is None or not orientation.contradicts:
-        return model
-    measured = Installation(VERIFICATION, orientation.block_from_platform)
-    return replace(model, installations={**model.installations, VERIFICATION: measured})
 
 
 MODULUS: Final = 3
@@ -111,10 +96,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class RunSizes:
-    """The relative noise of each run, `sizes` (runs,), with its degrees of freedom, `freedom` (runs,).
-
-    The mean square of the relative noise over all rows is 1.
-    """
+    """The relative noise of each run, `sizes` (runs,), of mean square 1 over all rows, and its `freedom`."""
 
     sizes: Floats
     freedom: Floats
@@ -125,24 +107,19 @@ class LinearSystem:
     """N differences of readings and prediction, as a linear function of the unknowns plus noise.
 
     The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block. Here c are
-    the changes of the 12 coefficients, which have no prior, and b are q other unknowns with independent standard
-    normal priors.
+    the changes of the 12 coefficients, without prior, and b are q other unknowns with standard normal priors.
 
-    `response` (N,) is measured minus predicted. `fixed` (N, 12) are the derivatives by the coefficients. `random`
-    (N, q) are the derivatives by the other unknowns, times their prior standard deviations. Its columns belong to
-    the stand angles, then to the effects of the given model (`problem` describes both), then to unknown
-    references. The last `of_noise` columns are not unknowns of the bench but noise that readings share, such as
-    slow noise in `slow_channels`, or of the meters' references if `slow_reference`.
+    `response` (N,) is measured minus predicted. `fixed` (N, 12) are derivatives by the coefficients, `random`
+    (N, q) by the other unknowns, times prior u: stand angles and effects of the model (both of `problem`),
+    unknown references, and last `of_noise` columns of noise that readings share, such as slow noise in
+    `slow_channels`, or of the meters' references if `slow_reference`.
 
-    `slope` (N,) is the derivative of each row's signal by the head angle, or 0 in a row that does not depend on
-    it. `setting` (N,) is the number of each row's setting of the head, or -1 in a row without a setting.
+    `slope` (N,) is the derivative by the head angle, else 0; `setting` (N,) is the number of the setting, else
+    -1. `orientation` is that of the block at the verification points, None if not determined; if it contradicts
+    the bench file, `model` has the measured one.
 
-    `orientation` is the orientation of the block at the verification points, None if they do not determine it. If
-    it contradicts the bench file, `model` has the measured orientation.
-
-    The noise of a row relative to the average is a product of factors. `by_channel` (3,) has mean square 1.
-    `by_run` has a factor for each run; `by_row` (N,), factors that describe heavy tails; `by_place` (N,), factors
-    of a place that scatters more. Each of these three is None if there is no such difference.
+    The relative noise of a row is a product of factors: `by_channel` (3,) of mean square 1, `by_run`, `by_row`
+    (N,) for heavy tails, and `by_place` (N,) for a place that scatters more; the last three may be None.
     """
 
     readings: Readings
@@ -170,17 +147,11 @@ class LinearSystem:
         return len(self.response)
 
     def with_random(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more unknowns: `columns` of `random`, each (N,) or (N, k).
-
-        A column is the change of the rows by one prior standard deviation of the unknown.
-        """
+        """Return the system with more unknowns: `columns` (N,) or (N, k) for one prior u of each."""
         return replace(self, random=np.column_stack([self.random, *columns]))
 
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more noise that readings share: `columns`, each (N,) or (N, k).
-
-        A column is the change of the rows by one standard deviation of this noise.
-        """
+        """Return the system with more noise that readings share: `columns` (N,) or (N, k) for 1 sigma."""
         system = self.with_random(*columns)
         return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
 
@@ -200,10 +171,7 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square of |du/dphi| over the settings, in the unit of the signal per rad.
-
-        Each channel's derivative is divided by the relative noise of the channel.
-        """
+        """Root mean square of |du/dphi| over the settings, each channel over its relative noise, per rad."""
         return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
 
     @cached_property
@@ -218,10 +186,7 @@ class LinearSystem:
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The factor of `relative` that is due to the channel of each row, shape (N,).
-
-        For a modulus it is that of the three channels, weighted by the gradient of |a|.
-        """
+        """The factor (N,) of `relative` that is due to the channel; for a modulus, weighted by its gradient."""
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
@@ -231,11 +196,7 @@ class LinearSystem:
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors (N,) that convert each row from the unit of the signal to g.
-
-        For the signal of a channel, the factor is 1 over the absolute scale factor; for a modulus, it is the norm
-        of the gradient of |a| with respect to the signals.
-        """
+        """Factors (N,) from the unit of the signal to g: 1 over scale factor, or the gradient of |a|."""
         size = np.empty(len(self))
         for block, mine in self.by_block():
             size[mine] = 1.0 / np.abs(np.diag(block.K))[np.minimum(self.rows.channel[mine], 2)]
@@ -248,7 +209,6 @@ class LinearSystem:
         yield self.block, np.ones(len(self), dtype=bool)
 
     def _moduli(self) -> Iterator[tuple[Mask, tuple[Floats, Floats, Floats]]]:
-        """Yield, for each block, the mask (N,) of its rows of moduli, with the result of `_modulus` for them."""
         for block, mine in self.by_block():
             modulus = mine & (self.rows.channel == MODULUS)
             yield modulus, _modulus(block, self.readings.signal[self.rows.reading[modulus]])
@@ -274,15 +234,11 @@ class LinearSystem:
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the changes of the rows by an effect or by k time courses at one stage of the model, linearised.
+        """Return linearised changes of the rows by an effect or k time courses (n, k) at one stage.
 
-        `of` is either courses (n, k), a value per reading, or an effect, with k = 1. An effect must act at the
-        output of the block or in the voltmeter, and must not depend on the path of the head.
-
-        At the stage of the stand, a course in rad is added to the stand angle named `adds_to`; at the stage of
-        the head, to the head angle. The result is (N, k, 1). At the output of the block, a course is an
-        acceleration in g, or with `of_force` a fraction of the specific force; in the voltmeter it is in the unit
-        of the signal. The result is then (N, k, 3), with a column for each channel in which the course may act.
+        At the stand or head, a course in rad is added to the angle `adds_to`: (N, k, 1). At the output of the
+        block, it is in g or, `of_force`, a fraction of the force; in the voltmeter, in the unit of the signal:
+        (N, k, 3), by channel. An effect acts in block or voltmeter, whatever the path of the head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
@@ -303,9 +259,7 @@ class LinearSystem:
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """The specific force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head
-        angles.
-        """
+        """The force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head angles."""
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
         known = [mount.installation in model.installations for mount in conditions.mounts]
@@ -335,12 +289,9 @@ class LinearSystem:
 class View:
     """The conversion of changes of the signals of n readings to changes of the N rows of the system.
 
-    `conditions` are those of all readings in the order of measurement, as effects may depend on earlier readings.
-    Where it is not NaN, `force` (n, 3), in g, replaces the specific force that the installation implies, and
-    `voltage_v` (n, 3) replaces the output of the block. `settings` are the indices of the readings in an
-    orientation; `moduli`, of the readings of which only the modulus is used; `inputs`, of the readings of a
-    shorted or reference input. `by_signal` (moduli, 3) is, for each modulus, the unit vector along the gradient
-    of |a| with respect to the signals.
+    `conditions` are of all readings, as effects may need earlier ones. If not NaN, `force` (n, 3), g, replaces
+    that of the installation, and `voltage_v` (n, 3) the output of the block. `settings`, `moduli` and `inputs`
+    are indices of readings; `by_signal` (moduli, 3) is the unit gradient of |a|.
     """
 
     conditions: Conditions
@@ -374,10 +325,9 @@ class View:
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
     """Return the linear system of readings of one block, linearised at a first guess of its coefficients.
 
-    The rows are, in this order: three signals for each reading in an orientation, one modulus for each
-    verification point and free position, three signals for each reading of a shorted or reference input.
-    `stand_u` has the standard uncertainties of the stand angles by name, rad. Raises `CalibrationError` if
-    the readings in an orientation do not determine the coefficients.
+    Rows are three signals for each oriented reading, one modulus for each verification point and free position,
+    then three for each shorted or reference input. `stand_u` are by angle, rad. Raises `CalibrationError` if
+    the oriented readings do not determine the coefficients.
     """
     label = readings.installation
     kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))
@@ -387,7 +337,9 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     problem = make_problem(model, table.conditions(), stand_u)
     block = first_guess(problem, table.signal)
     orientation = orientation_of(model, readings, block.specific_force(readings.signal), stand_u)
-    model = as_measured(model, orientation)
+    if orientation is not None and orientation.contradicts:
+        measured = Installation(VERIFICATION, orientation.block_from_platform)
+        model = replace(model, installations={**model.installations, VERIFICATION: measured})
     problem = replace(problem, model=model)
 
     force, by_signal, weight = _modulus(block, readings.signal[moduli])
@@ -447,10 +399,9 @@ def _unit(vectors: Floats) -> Floats:
 
 
 def _references(readings: Readings) -> tuple[Floats, Ints]:
-    """Return the voltages (n, 3) of shorted and reference inputs, and the indices of references of unstated value.
+    """Return voltages (n, 3) of shorted and reference inputs (else NaN), and the references of unstated value.
 
-    The voltages are NaN for readings of the block. A reference of unstated value has the mean that the voltmeters
-    read; its prior u is as large as this value.
+    Such a reference has the mean that the voltmeters read, with a prior u as large.
     """
     volts = np.full((len(readings), 3), np.nan)
     volts[readings.installation == SHORTED] = 0.0
@@ -464,11 +415,7 @@ def _references(readings: Readings) -> tuple[Floats, Ints]:
 
 
 def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:
-    """Return the change of the signals (n, 3) by one prior standard deviation of an unknown of the problem.
-
-    `number` is the index of the unknown among the stand angles and the effect parameters; only an effect
-    parameter changes the signals here.
-    """
+    """Return the change of the signals (n, 3) by one prior u of the unknown `number`, an effect parameter."""
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
     ways = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))
@@ -479,11 +426,9 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
 def _columns(
     problem: Problem, block: Block, unit: Floats, view: View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
-    """Return two arrays: the columns of the coefficients (N, 12), and of the other unknowns times prior u (N,
-    q).
+    """Return columns of coefficients (N, 12) and of other unknowns times prior u (N, q).
 
-    A modulus does not depend on the angles of the stand. `unstated` are the indices of the readings of
-    references with an unstated value.
+    A modulus does not depend on the angles of the stand; `unstated` references are unknown.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian[:, :, FIXED:] *= problem.prior_u

@@ -43,10 +43,9 @@ OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The joint linear system of several accelerometer blocks on one bench.
+    """The joint linear system of several accelerometer blocks on one bench, of their systems `parts`.
 
-    `parts` are the systems of the blocks; the rows of the joint system are theirs, in this order. `block` is the
-    first guess of the first block. Each block has its own coefficients; unknowns of the bench are common.
+    Rows follow these; blocks have own coefficients and share unknowns of the bench; `block` is the first.
     """
 
     parts: tuple[LinearSystem, ...]
@@ -70,10 +69,7 @@ class JointSystem(LinearSystem):
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return the change of the rows by an effect or course that is the same in all blocks, at one stage.
-
-        Arguments and result are those of `LinearSystem.stage_columns`.
-        """
+        """Return the result of `LinearSystem.stage_columns` for an effect or course of all blocks alike."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [
             of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
@@ -88,14 +84,12 @@ class JointSystem(LinearSystem):
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the linear system of readings of one or several blocks.
-
-    Arguments and errors are those of `make_linear`.
-    """
+    """Return the linear system of readings of one or several blocks; else as `make_linear`."""
     if readings.block is None:
         return make_linear(readings, model, stand_u)
-    tables = [np.flatnonzero(readings.block == number) for number in np.unique(readings.block)]
-    parts = [make_linear(_rows_of(readings, rows), model, stand_u) for rows in tables]
+    masks = [readings.block == number for number in np.unique(readings.block)]
+    tables = [np.flatnonzero(mask) for mask in masks]
+    parts = [make_linear(replace(readings.select(mask), block=None), model, stand_u) for mask in masks]
     starts = np.cumsum([0, *(part.settings for part in parts)])
     own = [_random_of(part, stand_u) for part in parts]
     shared = np.concatenate([shared for shared, _ in own])
@@ -126,12 +120,6 @@ def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     )
 
 
-def _rows_of(readings: Readings, rows: Ints) -> Readings:
-    chosen = np.zeros(len(readings), dtype=bool)
-    chosen[rows] = True
-    return replace(readings.select(chosen), block=None)
-
-
 def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats, Floats]:
     """Return the columns of `random` that all blocks share (effects of the bench), and those of this block."""
     problem = make_problem(part.model, part.moved, stand_u)
@@ -146,11 +134,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings of several runs with the number of the accelerometer block of each row as `block`.
+    """Return readings with the number of the accelerometer block of each row as `block`; None if one.
 
-    `block` is None if all rows are of one block. Stated numbers are kept. Otherwise the coefficients of each
-    run show which runs are of the same block; a run that does not determine its coefficients is assigned to
-    the first block.
+    Stated numbers are kept, else coefficients show which runs are of one block; undetermined runs join the
+    first.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
@@ -201,11 +188,10 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Return the mistakes in several runs, each searched by itself, and a copy without them.
+    """Return the mistakes in several runs, each searched by itself, and a copy; else as `find_mistakes`.
 
-    Arguments and errors are those of `find_mistakes`; `nominal` is (3,), or (blocks, 3) for several blocks.
-    The probability of a false alarm is divided among the runs, and each p-value is multiplied by their
-    number.
+    `nominal` is (3,) or (blocks, 3). Runs share the probability of a false alarm; their number multiplies
+    p-values.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():
@@ -218,18 +204,18 @@ def find_mistakes_in_each(
     if not any(one.mistakes for one in found):
         return MistakeSearch((), readings)
     corrected = stacked([one.corrected for one in found])
+    skipped = dict.fromkeys([*readings.skipped, *(row for one in found for row in one.corrected.skipped)])
     return MistakeSearch(
         tuple(_of_run(mistake, readings.select(rows), len(parts))
               for one, (rows, _) in zip(found, parts, strict=True) for mistake in one.mistakes),
-        replace(corrected, source=readings.source, notes=readings.notes, skipped=_skipped(found, readings)),
+        replace(corrected, source=readings.source, notes=readings.notes, skipped=tuple(skipped)),
     )  # fmt: skip
 
 
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
-    """Yield the mask (n,) of the rows that are searched together, and the index of their block.
+    """Yield the mask (n,) of rows that are searched together, and the index of their block.
 
-    These are the rows of one run that determines the coefficients of its block. Runs that do not determine
-    them join the first run that does; if no run does, all runs of the block are searched together.
+    Runs that do not determine the coefficients of a block join the first run that does, or all others.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -252,19 +238,12 @@ def _of_run(mistake: Mistake, run: Readings, runs: int) -> Mistake:
     return replace(mistake, p=p, installations=labels, words=f"series {series}: {mistake.words}")
 
 
-def _skipped(found: list[MistakeSearch], readings: Readings) -> tuple[str, ...]:
-    return tuple(dict.fromkeys([*readings.skipped, *(row for one in found for row in one.corrected.skipped)]))
-
-
 OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_drift")
 """Effects that start again with every run and may have a different size in each."""
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Return the candidates for readings of one or several runs.
-
-    The arguments are those of `make_candidates`.
-    """
+    """Return the candidates for readings of one or several runs; else as `make_candidates`."""
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
@@ -276,9 +255,8 @@ def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[st
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield the sets of mountings in which an effect of several runs may act.
 
-    An effect may be the same everywhere or in one installation of every run, or differ by block, run or
-    mounting. Effects of single passes are searched in each run instead. An effect with a shape parameter is
-    the same in all blocks, or is found in a single run; its shape is not fitted to different sizes by block.
+    It is common, in one installation, or by block, run or mounting. Single passes are searched by run. The
+    shape of an effect is not fitted to different sizes by block.
     """
     readings = linear.readings
     if effect.per_pass:
@@ -305,7 +283,6 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
-    """Yield the labels of the mountings of each run or block number in turn."""
     for one in np.unique(number):
         mine = number == one
         pairs = zip(readings.series[mine].tolist(), readings.installation[mine].tolist(), strict=True)
@@ -316,9 +293,10 @@ def _labels(readings: Readings, number: Ints) -> Iterator[tuple[str, ...]]:
 
 
 def _add_unnamed(collector: Collector, unit: float) -> None:
-    """Add the unnamed families: patterns common to all runs, and zeros or scale factors that differ by run."""
     rows, readings = collector.linear.rows, collector.linear.readings
-    add_free_patterns(collector, unit, _visit(readings))
+    series, run = readings.series, readings.run
+    # visits are counted from 1 in each run
+    add_free_patterns(collector, unit, series + 1 - [series[run == number].min() for number in run])
     phase = elapsed_part(readings.conditions().elapsed_s, readings.run)[rows.reading]
     for channel in range(3):
         mine = (collector.linear.setting >= 0) & (rows.channel == channel)
@@ -347,12 +325,6 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
         for channels in SUBSETS:
             columns_of = tuple(i for channel in channels for i in places[channel])
             collector.variants.append(Variant(family, columns_of, channels))
-
-
-def _visit(readings: Readings) -> Ints:
-    """Return the number of the visit (series) of each reading within its run, counted from 1."""
-    series, run = readings.series, readings.run
-    return np.asarray(series + 1 - [series[run == number].min() for number in run])
 
 
 def elapsed_part(time_s: Floats, run: Ints) -> Floats:

@@ -12,15 +12,7 @@ from scipy.special import logsumexp, softmax
 
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
-from bench.diagnosis.evidence import (
-    BEYOND_BELIEF,
-    KNOWN_SIZE,
-    Data,
-    Scores,
-    Search,
-    Threshold,
-    Whitened,
-)
+from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
 from bench.model.effects import CATALOGUE
 
@@ -45,12 +37,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family against its absence, given all other effects found. `total`
-    is ln of the odds that some family is missing in a model without this effect. `size` is the root of the
-    decrease of chi-square when the effect joins the model. `odds` are the families that are most probable in its
-    place, with their posterior probabilities. `ties` are other families that the readings do not exclude; `same`
-    are the ties that change these readings in the same way. `plainer_than` are families of the same subsystem
-    that include this one as a special case and need more parameters.
+    `evidence` is ln of the Bayes factor of its family beside all other finds, `total` ln of the odds that a
+    family is missing without it, `size` the root of the decrease of chi-square. `odds` are of families in its
+    place, of which `ties` are not excluded and `same` change the readings alike; `plainer_than` include it with
+    more parameters.
     """
 
     variant: Variant
@@ -65,10 +55,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The effects found, in the order of the search.
-
-    `left` is ln of the odds that yet another effect is missing.
-    """
+    """The effects found, in the order of the search; `left` is ln of the odds that another is missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
@@ -94,12 +81,10 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of all families in one data set, given a model that has some known columns.
+    """The scores of all families in one data set beside the known columns, which `left` has subtracted.
 
-    `left` are the scalar products of the data after the known columns are fitted and subtracted. `scores` has the
-    scores of all variants. `evidence` maps each family to ln of its Bayes factor; `log_odds` maps each family to
-    this logarithm plus ln of its prior probability. `total` is ln of the sum of these odds, that is, of the odds
-    that some family is missing. `ratio` is the index of the most probable noise ratio.
+    `evidence` and `log_odds` map families to ln of the Bayes factor without and with the prior; `total` is ln
+    of the sum of the odds. `ratio` is the index of the most probable noise ratio.
     """
 
     search: Search
@@ -112,10 +97,7 @@ class Scored:
 
     @classmethod
     def beside(cls, whitened: Whitened, data: Data, known: Sequence[int]) -> Scored:
-        """Return the scores of all families, given a model with the columns `known`.
-
-        Scores of the data set last used are cached in `whitened`, because a search asks for them repeatedly.
-        """
+        """Return the scores given the columns `known`; those of the data set last used are cached in `whitened`."""
         kept = whitened.kept
         if kept.get("data") is not data:
             kept.clear()
@@ -142,18 +124,12 @@ class Scored:
         )
 
     def best(self, among: Among | None = None) -> FoundEffect:
-        """Return the family with the largest posterior odds as an effect found.
-
-        `among` says which families are permitted; None permits all.
-        """
+        """Return the family with the largest posterior odds, of those permitted by `among`, as an effect found."""
         families = [f for f in self.log_odds if among is None or among(f)]
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
-        """Return a family as an effect found, in its most probable form.
-
-        If the readings do not determine in which mounting it acts, the form has a value for each mounting.
-        """
+        """Return a family as an effect found, in its best form; undetermined mountings all have values."""
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
@@ -187,10 +163,7 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the amplitudes (p,) estimated for a form's columns, and the Gram matrix (p, p) of these columns.
-
-        An amplitude is a multiple of the plausible size. The known columns are projected out.
-        """
+        """Return amplitudes (p,) and Gram matrix (p, p) of a form's columns, the known columns projected out."""
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -201,9 +174,8 @@ class Scored:
 def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
     """Return the scores without the forms whose starting states are too large for their sizes.
 
-    The evidence takes states and sizes as independent, but a small effect cannot have a large state: at most
-    `FARTHEST` standard deviations for the size found, beside twice its u. Forms with `NEGLIGIBLE`
-    weight beside the likeliest are not examined.
+    A state is at most `FARTHEST` standard deviations for the size found, beside twice its u, but the evidence
+    takes them as independent. Forms of `NEGLIGIBLE` weight are not examined.
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
@@ -251,11 +223,10 @@ def find(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> list[FoundEffect]:
-    """Return the effects that act in one data set and that the model lacks.
+    """Return the effects that act in one data set and that the model lacks, after those in `begun`.
 
-    Effects are added to those in `begun` until the odds that some family is missing fall below the threshold, or
-    until `most` were added. `among` says which families may be found (None: all); the odds always include all
-    families.
+    The search ends when the odds of a missing family are below the threshold, or after `most`. Only families of
+    `among` (None: all) are found; the odds include all.
     """
     found, free = list(begun), len(begun)
     while len(found) < most + free:
@@ -298,10 +269,9 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return those effects found that are necessary.
+    """Return the necessary finds; the first `kept` always stay, and the weakest is tested first.
 
-    An effect is unnecessary if the odds that some family is missing stay below the threshold without it. The
-    weakest effect is tested first. The first `kept` effects always stay.
+    Without a necessary one, the odds that some family is missing reach the threshold.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -313,18 +283,15 @@ def needed(
 
 
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
-    """Return an effect found, completed with the odds of all families that could be in its place.
-
-    `scored` are the scores given all other effects found. `among` says which families are permitted (None:
-    all).
-    """
+    """Return an effect found with the odds of all families permitted by `among` that could be in its place."""
     family, evidence, plain = one.variant.family, scored.evidence, one.variant.plain
     odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
     ranked, likely = [one.name for one in odds], holding(odds)
     explained = scored.explained(plain)
     aliases = _aliases(scored, plain, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}
     fewest = min(len(plain.columns), aliases.pop(family, len(plain.columns)))
-    plainer = [f for f, rank in aliases.items() if rank > fewest and _subsystem(f) == _subsystem(family)]
+    larger = [f for f, rank in aliases.items() if rank > fewest]
+    plainer = [f for f in larger if CATALOGUE[f].subsystem is CATALOGUE[family].subsystem]
     ties = [f for f in likely if f != family]
     ties += [f for f in ranked if f in aliases and f not in plainer and f not in ties]
     shape = scored.likeliest(family).plain
@@ -351,10 +318,9 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the names of the most probable families among which the readings do not decide.
+    """Return the names of the most probable families of `odds`, sorted, among which readings do not decide.
 
-    If the first name is wrong with a probability of at most `OFTEN`, only this name is returned; otherwise, the
-    names have a total probability of at least 1 - `BY_CHANCE`. `odds` are sorted, the most probable first.
+    It is the first alone if its probability is 1 - `OFTEN`; else they have 1 - `BY_CHANCE` together.
     """
     if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]
@@ -368,10 +334,7 @@ def holding(odds: Sequence[FamilyOdds]) -> list[str]:
 
 
 def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYOND_BELIEF) -> dict[str, int]:
-    """Return each effect that explains `enough` of a signature, with the least number of parameters it needs.
-
-    An effect that would have to exceed `most` plausible sizes is left out.
-    """
+    """Return the effects of at most `most` that explain `enough` of a signature, with the parameters each needs."""
     if not variant.named:
         return {}
     search, ratio = scored.search, scored.ratio
@@ -389,10 +352,6 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
-
-
-def _subsystem(family: str) -> object:
-    return CATALOGUE[family].subsystem if family in CATALOGUE else None
 
 
 def same_signature(naming: Naming) -> Iterator[str]:

@@ -55,10 +55,8 @@ def planned_readings(
 ) -> Readings:
     """Return the readings that a plan would give on a stand without errors, in the order of measurement.
 
-    Times are those that the plan expects, at the mains frequency `line_hz`. The temperature is
-    `temperature_c` until the plan sets another. The signals are those of `block` in `model` without its
-    effects, in `unit`, at the planned angles. Raises `KeyError` if the model lacks an installation of the
-    plan.
+    They have expected times, `temperature_c` until the plan sets another, and signals of `block` without
+    effects, in `unit`. Raises `KeyError` if the model lacks an installation of the plan.
     """
     reads: list[Read] = []
     states: list[tuple[float, float, float]] = []
@@ -115,22 +113,13 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 
 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
-    """Return the readings `first` followed by those that a plan would give afterwards.
-
-    The other arguments are those of `planned_readings`. The temperature remains at its last value in `first`
-    until the plan sets another.
-    """
+    """Return the readings `first` and then those of a plan (`planned_readings`), at the last temperature."""
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
     both = together([JoinedPart(first), JoinedPart(planned)])
     # the clock continues after the first run, so that effects which have settled stay settled
     return both if first.began_s is not None else replace(both, began_s=None)
-
-
-def reads_inputs(plan: Plan) -> bool:
-    """Return whether a plan reads a shorted or a reference input; such signals are in volts."""
-    return any(isinstance(s, Read) and s.installation in UNORIENTED for s in plan.steps)
 
 
 MENU: Final = (
@@ -148,11 +137,9 @@ Noise then makes the wrong one likelier in 2.3 % of runs, as often as it gives a
 
 @dataclass(frozen=True)
 class Separation:
-    """How well readings distinguish an effect found (`effect`) from one of its ties (`other`).
+    """The divergence D of an effect found from one of its ties, `before` and `after` a procedure.
 
-    `before` is the divergence D from the present readings; `after`, the divergence from these and the readings of
-    a procedure together. D is the expected value of ln of the odds of the true name against the other; higher is
-    better.
+    D is the expected value of ln of the odds of the true name against the other; higher is better.
     """
 
     effect: str
@@ -168,10 +155,7 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The prospects of a procedure: its duration, and the probability that it settles every tie (`answers`).
-
-    `hours` is the duration. A tie is settled if one of its names reaches a posterior probability of 1 - `OFTEN`.
-    """
+    """The duration of a procedure, and the probability that one name of every tie reaches 1 - `OFTEN`."""
 
     procedure: str
     hours: float
@@ -179,16 +163,11 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of at least 1 -
-    `OFTEN`.
+    """Return the probability that further readings give one name of a tie a posterior of 1 - `OFTEN`.
 
-    `first` is the name of the effect found; the other names are its rivals. `odds` maps each name, `first`
-    included, to its present posterior probability. `gained` maps each rival to the increase of its divergence
-    D from `first` by the further readings, or to -inf if these readings cannot distinguish the two.
-
-    If one of two names is true, ln of its odds against the other grows by a normally distributed number of
-    mean D and variance 2 D. If there are several rivals, the one that is hardest to separate from the true
-    name decides. The divergence between two rivals is not considered.
+    `odds` maps the name of the find, `first`, and of its rivals to present probabilities; `gained` maps rivals
+    to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the true
+    name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate decides.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -206,13 +185,11 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A procedure proposed as the next measurement, and the reason `why`.
+    """A procedure proposed as the next measurement, its file `source`, duration, and the reason `why`.
 
-    `source` is the file of the procedure, `minutes` its expected duration. `settles` are the ties that it
-    resolves or reduces; `shows`, the effects that were hidden so far and that it would show. `left_out` maps each
-    procedure that this bench cannot carry out to the reason. `written` is the path of a copy that begins with
-    `why`, or None before `write`. If there are ties, `chances` has the prospects of all procedures, the best
-    first.
+    `settles` are ties that it resolves or reduces, `shows` hidden effects that it would show, `left_out`
+    impossible procedures with reasons. `written` is the path of a copy that begins with `why` (`write`). If
+    there are ties, `chances` has the prospects of all procedures, the best first.
     """
 
     why: str
@@ -240,10 +217,9 @@ class Proposal:
         return self.written or self.source
 
     def write(self, path: Path) -> Proposal:
-        """Write a copy of the procedure that begins with the reason; return the proposal with its path.
+        """Write a copy of the procedure that begins with the reason to `path`; return the proposal with its path.
 
-        The copy is written to `path`. If a file with other contents exists there, a number is added to the
-        name instead. Raises `OSError` if the copy cannot be written.
+        A number is added to the name of a file with other contents. Raises `OSError` if it cannot be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
@@ -264,11 +240,9 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    If there are ties, this is the shortest of the procedures that resolve the most ties; if none resolves
-    any, the one with the largest increase of the divergence D per minute. Without ties, it is the shortest of
-    the procedures that show the most hidden effects. `menu` are the files to choose from, by default the
-    shipped procedures `MENU`; a file that includes others is ignored. Nothing is proposed after a mistake, or
-    if an effect found is not in the catalogue.
+    With ties, it is the shortest that resolves the most ties, or else the fastest to increase D; otherwise the
+    shortest that shows the most hidden effects. `menu` (default: `MENU`) are files without inclusions. Nothing
+    follows a mistake or an unnamed effect.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None
@@ -295,6 +269,7 @@ class _Bill:
         self.plans = dict(self._possible(menu))
 
     def _possible(self, menu: Sequence[Path]) -> Iterator[tuple[Path, Plan]]:
+        in_volts = self._diagnosis.linear.readings.unit == "V"
         for path in menu:
             procedure = _loaded(path, path.stat().st_mtime_ns)
             problems = check(procedure.plan, self._bench)
@@ -302,13 +277,14 @@ class _Bill:
                 self.left_out[procedure.name] = problems[0]
             elif len(procedure.files) > 1:
                 self.left_out[procedure.name] = "it includes other files"
-            elif reads_inputs(procedure.plan) and self._diagnosis.linear.readings.unit != "V":
+            elif not in_volts and any(
+                isinstance(s, Read) and s.installation in UNORIENTED for s in procedure.plan.steps
+            ):
                 self.left_out[procedure.name] = "it reads voltages, and the readings are in another unit"
             else:
                 yield path, procedure.plan
 
     def _linear(self, plan: Plan | None) -> LinearSystem:
-        """Return the system of the present readings, and of the readings of a plan (if any) as one more run."""
         linear = self._diagnosis.linear
         if plan is None:
             return linear
@@ -321,10 +297,7 @@ class _Bill:
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
-        """Return the procedure that resolves the most ties, or else separates them fastest.
-
-        None if no procedure helps.
-        """
+        """Return the procedure that resolves the most ties, else separates them fastest; None if none helps."""
         before = self._divergences(None)
         bills, chances = [], []
         for path, plan in self.plans.items():
@@ -349,11 +322,7 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved.
-
-        `before` and `after` have the divergence D of each find from each of its ties, by the two names,
-        without and with the readings of the procedure.
-        """
+        """Return the probability that every tie is resolved; divergences D `before` and `after` are by pair."""
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {
@@ -389,8 +358,8 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
 
-        An effect counts as hidden, too, if its plausible size is below the noise. A procedure shows an effect
-        if half of all runs then find the effect at twice its plausible size.
+        Effects of plausible sizes below the noise are hidden, too. Shown is what half of all runs find at twice
+        its plausible size.
         """
         diagnosis = self._diagnosis
         half = half_power(diagnosis.whitened, diagnosis.registered.threshold)

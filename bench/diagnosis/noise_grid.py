@@ -21,10 +21,9 @@ from bench.readings.table import Readings
 
 
 def coupled(matrix: Floats) -> Iterator[tuple[Ints, Ints]]:
-    """Yield the connected components of a matrix (N, k), each as its rows and its columns, ascending.
+    """Yield rows and columns, ascending, of each connected component of a matrix (N, k).
 
-    The matrix is zero between the rows of one component and the columns of another. Every column is in one
-    component; a row of zeros is in none.
+    Every column is in one component; a row of zeros is in none.
     """
     many, count = matrix.shape
     row, column = np.nonzero(matrix)
@@ -43,11 +42,9 @@ RATIO_SPREAD: Final = 1.0
 
 @dataclass(frozen=True)
 class Span:
-    """A subspace in n of the rows that a fit absorbs: that of coefficients, or of unknowns with a prior.
+    """A subspace in n of the rows that a fit absorbs: `rows` indices (n,), orthonormal `basis` (n, k).
 
-    `rows` are the indices of its n rows. `basis` (n, k) are the k orthonormal directions of the subspace.
-    `kept` (k,) is the fraction of each direction that remains in the residuals because of the prior; it is 0
-    for coefficients, which have no prior.
+    `kept` (k,) is the fraction that remains because of a prior: 0 for coefficients.
     """
 
     rows: slice | Ints
@@ -62,13 +59,11 @@ class Span:
 
 @dataclass(frozen=True)
 class Whitener:
-    """A linear map of N rows to numbers with independent noise of equal variance.
+    """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has a pair for each size n of a set of rows with correlated noise. For the b sets of this size,
-    the pair is: the indices (b n,) of the rows, set after set, and the matrices (b, n, n) that make the noise of
-    the rows independent, whatever the setting error. `root` (N,) are the factors that then make the variances
-    equal. `fitted` are the subspaces that the map removes; they are orthogonal, and each accelerometer block has
-    its own. Apply the map with `@`.
+    `blocks` has, for each size n of sets of correlated rows, the indices (b n,) of their rows and matrices (b,
+    n, n) that make these independent, whatever the setting error; `root` (N,) are the factors to equal
+    variance. `fitted` are the orthogonal subspaces that are removed, one for each accelerometer block.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -117,10 +112,7 @@ class Whitener:
         return turned
 
     def taken(self, turned: Floats) -> Iterator[Floats]:
-        """Yield what each fitted subspace takes from columns made independent (`apart`), (k, P).
-
-        The products of these components are to be subtracted from the weighted products of the columns.
-        """
+        """Yield what each fitted subspace takes (k, P) from columns made independent (`apart`)."""
         for span in self.fitted:
             along = (span.basis.T * self.root[span.rows]) @ turned[span.rows]
             yield along * np.sqrt(1.0 - span.kept**2)[:, None]
@@ -138,11 +130,10 @@ def _times(matrices: Floats, columns: Floats) -> Floats:
 class NoiseGrid:
     """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
 
-    `white` has a map for each ratio; the map takes rows divided by `sigma`, a first estimate of the noise of a
-    reading. `freedom` is the number of rows minus the number of coefficients. `log_det` (ratios,) is the part of
-    ln of the restricted likelihood that does not depend on the data; `log_prior` (ratios,), ln of the prior
-    probability of each ratio. `setting_rad_per_noise` (ratios,) is the setting error, rad, if the noise of a
-    reading is one unit of the signal. If `known`, the noise is `sigma`; otherwise it is unknown.
+    Each map in `white` takes rows divided by `sigma`, a first estimate of the noise; `freedom` is N minus the
+    coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood without data, `log_prior`
+    that of the ratios; `setting_rad_per_noise` is for noise of one unit of the signal. If `known`, the noise is
+    `sigma`.
     """
 
     white: tuple[Whitener, ...]
@@ -154,11 +145,7 @@ class NoiseGrid:
     known: bool = False
 
     def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
-        """Return ln of the likelihood of whitened residuals, up to a constant, from their sum of squares.
-
-        `square` is this sum in units of `sigma` squared. Unless the noise is known, its size is integrated
-        out. `out` is an array for the result.
-        """
+        """Return ln of the likelihood from sums of `square` residuals, over a noise that is not known."""
         if self.known:
             return np.multiply(square, -0.5, out=out)
         logarithm: Floats = np.log(square, out=out)
@@ -183,9 +170,8 @@ def make_noise_grid(
 ) -> NoiseGrid:
     """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `sigma` is a first estimate of the noise of a reading, in the unit of the signal. Prior standard deviations
-    are divided by it. `setting_rad` is the setting error that the bench file states (0: unknown), from which the
-    prior of the ratios follows. Fewer `ratios` save time if the noise is known well enough.
+    `sigma` is a first estimate of the noise, unit of the signal; the prior of the ratios follows from
+    `setting_rad`, that of the bench file (0: unknown). Fewer `ratios` save time.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -212,10 +198,9 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of wide `random` columns: nonzero in more than the fraction `FEW` of the rows, or than
-    a run has.
+    """Return the mask (q,) of `random` columns in more than `FEW` of the rows, or than a run has.
 
-    A wide column is fitted: as a covariance, it would join all its rows in one dense block. Both give the same.
+    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same.
     """
     most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
@@ -224,10 +209,7 @@ def _wide(linear: LinearSystem) -> Mask:
 def _whites(
     linear: LinearSystem, settings: Sequence[float], sigma: float
 ) -> Iterator[tuple[Whitener, float]]:
-    """Yield the whitening map for each setting error, with the part of ln of the likelihood without the data.
-
-    The setting errors are in rad per unit of the noise of a reading, `sigma`.
-    """
+    """Yield the map for each setting error, rad per unit of noise, with ln of the likelihood without the data."""
     wide = _wide(linear)
     fixed, shared = linear.fixed, linear.random[:, wide] / sigma
     blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
@@ -242,10 +224,9 @@ def _whites(
 def _blocks(
     linear: LinearSystem, local: Floats
 ) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
-    """Return the `blocks` of a `Whitener`, the variances (N,) that a setting error of 1 rad adds, and ln |T|.
+    """Return the `blocks` of a `Whitener`, the variances (N,) of a setting error of 1 rad, and ln |T|.
 
-    Rows are joined by a setting, or by a column of `local` (N, k), in units of the noise. T is the matrix that
-    makes the noise of the rows independent. Without a setting error, their variances are 1.
+    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent.
     """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
@@ -294,7 +275,8 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     spans = []
     log_det = 0.0
     # a setting error couples the rows of all channels, and so all coefficients of a block
-    parts = coupled(white) if white.shape[1] > FIXED else [tuple(map(np.flatnonzero, _used(white)))]
+    used = [np.flatnonzero(np.any(white, axis=axis)) for axis in (1, 0)]
+    parts = coupled(white) if white.shape[1] > FIXED else [used]
     for rows, columns in parts:
         if not len(rows):
             continue  # no row depends on these coefficients
@@ -314,11 +296,6 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     return (*spans, Span(slice(None), basis, kept)), log_det
 
 
-def _used(matrix: Floats) -> tuple[Mask, Mask]:
-    """Return the masks of the rows and of the columns of a matrix that are not all zero."""
-    return np.any(matrix, axis=1), np.any(matrix, axis=0)
-
-
 def _as_slice(rows: Ints) -> slice | Ints:
     """Return `rows` as a slice, which copies nothing, if they are consecutive, else unchanged."""
     first = int(rows[0])
@@ -333,10 +310,9 @@ EVERY: Final = slice(None)
 class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
-    `rows` (N, P) are the columns with independent rows, the same for all ratios; `weight` (ratios, N) is the
-    inverse variance of each row. From the weighted products, those of the components `taken` (ratios, k, P)
-    along the fitted directions are subtracted. With two sources of variance, one diagonalisation serves all
-    their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
+    `rows` (N, P) are independent for all ratios, of inverse variance `weight` (ratios, N); products of `taken`
+    (ratios, k, P) along the fitted directions are subtracted. With two sources of variance, one diagonalisation
+    serves all their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
 
     rows: Floats
@@ -344,18 +320,12 @@ class ColumnProducts:
     taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the scalar products of k columns with all P columns, shape (ratios, k, P).
-
-        `columns` (k,) are their indices; `at` selects ratios.
-        """
+        """Return the scalar products of k `columns` (indices) with all, (ratios, k, P), `at` some ratios."""
         whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
         return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the Gram matrices of sets of p columns, shape (ratios, …, p, p).
-
-        `columns` (…, p) has the indices of each set in its last axis; `at` selects ratios.
-        """
+        """Return the Gram matrices (ratios, …, p, p) of sets of columns (…, p), `at` some ratios."""
         if columns.shape[-1] == 1:
             return np.asarray(self.square[at][:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.rows[:, columns], 0, -2)
@@ -376,11 +346,7 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class Repeats:
-    """The noise of a reading, estimated from repeated settings of the head.
-
-    `sigma` is its standard deviation in the unit of the signal; `freedom` are its degrees of freedom, counted
-    in settings.
-    """
+    """The standard deviation of a reading from repeated settings, unit of the signal; freedom in settings."""
 
     sigma: float
     freedom: int
@@ -389,11 +355,10 @@ class Repeats:
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
     """Return the noise of a reading that the scatter of repeated settings shows, whatever the model lacks.
 
-    The settings are described without the model: by a free value for each mounting and angle, a linear drift
-    for each mounting, and for each pass a free bias and a free sine wave of one period per turn, so that
-    changes between passes do not count as noise. The noise and the setting error maximise the restricted
-    likelihood of the residuals of this description. If there are too few repeats, the scatter about the model
-    is used instead. The result is never below the rounding error of the `resolution`.
+    The fit has a free value for each mounting and angle, a drift for each mounting, and for each pass a bias
+    and a wave once per turn, so that changes between passes do not count. Noise and setting error maximise the
+    restricted likelihood. With too few repeats, it is the scatter about the model; it is at least the rounding
+    error of `resolution`.
     """
     oriented = linear.setting >= 0
     left, slope = (
@@ -417,10 +382,9 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
 
 def _likeliest(squares: Floats, along: Floats) -> float:
-    """Return the likeliest noise, by maximum likelihood, of m independent residuals with `squares` (m,).
+    """Return the noise of the largest likelihood for independent `squares` (m,) of residuals.
 
-    `along` (m,) is the factor with which the variance of the setting error enters each square. This variance is
-    tried on a grid of multiples of the noise variance.
+    The variance of the setting error, times `along` (m,), is tried in multiples of that of the noise.
     """
     ratio = np.append(0.0, np.geomspace(1e-2, 1e6, 81)) / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -444,10 +408,7 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number (n,) for each setting, which is equal for repeats of a setting.
-
-    Repeats are settings of the same mounting at the same angle, rounded to `MARK_DEG`.
-    """
+    """Return a number (n,) for each setting, equal for the same mounting and angle, rounded to `MARK_DEG`."""
     mount, angle = _mounts_and_angles(linear)
     cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
@@ -480,10 +441,7 @@ Added in quadrature, a size of this fraction changes the noise by 0.5 %.
 
 
 def digit_of(readings: Readings) -> float:
-    """Return the step of the last digit of the signals, in their unit; 0 if there is no such step.
-
-    It may exceed the resolution of the file: it is 2e-5 if all signals are even multiples of 1e-5.
-    """
+    """Return the step of the last digit of the signals, at least the resolution of the file; 0 if there is none."""
     resolution = readings.resolution
     if not resolution > 0.0 or readings.resolution_read is not None:
         return resolution
@@ -497,19 +455,12 @@ def is_coarse(digit: float, sigma: float) -> bool:
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Return whether repeats share a rounding error that is not negligible.
-
-    The noise is then fixed at `sigma`, because the residuals no longer show its size.
-    """
+    """Return whether repeats share a rounding error; the noise is then fixed, as residuals do not show it."""
     return repeated(digit, sigma) > SAME_SIZE * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system; its noise includes the rounding error that repeats of a setting share, unless
-    negligible.
-
-    `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
-    """
+    """Return the system with the noise of the rounding error that repeats share, unless negligible."""
     if not is_rounded(digit, sigma):
         return linear
     size = repeated(digit, sigma)
@@ -523,16 +474,8 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
     return linear.with_noise(columns)
 
 
-def grid_with_rounding(linear: LinearSystem, sigma: float, setting_rad: float, digit: float) -> NoiseGrid:
-    """Return the grid of `make_noise_grid`; its noise is known (fixed) if repeats share a rounding error."""
-    return replace(make_noise_grid(linear, sigma, setting_rad), known=is_rounded(digit, sigma))
-
-
 def repeated(digit: float, sigma: float) -> float:
-    """Return the standard deviation of the part of the rounding error that repeats share.
-
-    `digit` is the step of the last digit and `sigma` the noise with rounding, all in the unit of the signal.
-    """
+    """Return the 1 sigma of the rounding error that repeats share, for the noise `sigma` with rounding."""
     if not digit > 0.0:
         return 0.0
     return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

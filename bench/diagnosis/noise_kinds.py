@@ -46,10 +46,9 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A hypothesis on the noise: the linear system with such noise, and its prior odds.
+    """A system with another noise `what` (see `LOG_PRIOR`), ln of its prior odds, and words for people.
 
-    `what` is the kind, a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus
-    the cost of the parameters fitted. `words` describe it for people.
+    The odds are against ordinary noise, minus the cost of the parameters fitted.
     """
 
     what: str
@@ -59,10 +58,7 @@ class NoiseHypothesis:
 
 
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the hypotheses on the noise that `linear` does not contain yet, with their likeliest sizes.
-
-    `effects` (N, m) are the columns of the effects in the model; `noise` is the noise estimated so far.
-    """
+    """Yield hypotheses that `linear` lacks in their likeliest sizes, given columns of `effects` (N, m)."""
     left, free = _fit(linear, effects, noise)
     yield from _by_channel(linear, left, free)
     if linear.by_run is None and linear.readings.run.any():
@@ -80,10 +76,7 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return the term of ln of the evidence for the unit `grid.sigma` in which a grid states residuals.
-
-    Only with this term can the evidence of grids with different units be compared.
-    """
+    """Return the part of ln of the evidence, due to the unit `grid.sigma`, that makes grids comparable."""
     return -grid.freedom * math.log(grid.sigma)
 
 
@@ -97,10 +90,7 @@ def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Float
 
 
 def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return the residuals (N,) after a fit with the effects' columns `effects` (N, m), unit of the signal.
-
-    The setting error is removed, and each row is divided by its relative noise.
-    """
+    """Return residuals (N,) beside `effects` (N, m) over relative noise, without the setting error."""
     left = _fit(linear, effects, noise)[0]
     return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
 
@@ -122,12 +112,10 @@ def _by_channel(linear: LinearSystem, residual: Floats, free: Floats) -> Iterato
 
 
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
-    """Return the relative noise of the three channels, (3,), with mean square 1.
+    """Return the relative noise (3,) of the channels, of mean square 1, from residuals `left` (n, 3).
 
-    `left` (n, 3) are the residuals of each setting; `freedom` (n,) are the degrees of freedom per residual, 0
-    to 1, that the fit leaves to each setting. `slope` (n, 3) is the derivative of the signals by the head
-    angle, that is, the direction of a setting error. `cells` (n,) has the same number for settings with the
-    same slope. `floor` is the least noise permitted, in the unit of the signal.
+    `freedom` (n,) per residual is 0 to 1; `slope` (n, 3) is the direction of a setting error; `cells` (n,)
+    numbers settings of one slope; `floor` is the least noise, unit of the signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -159,10 +147,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 
 
 def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
-    """Yield the hypothesis of larger noise in one place: a channel in an installation, or in one of its passes.
-
-    The prior odds pay for the choice of one place among all, and for one more size.
-    """
+    """Yield larger noise in one channel of an installation or pass; its odds pay for the choice and a size."""
     places = _larger(linear, left)
     found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
     if found is None:
@@ -185,9 +170,8 @@ def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
 class LocalScatter:
     """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
 
-    `sd` is the standard deviation in this place; `elsewhere`, that in all other places; both are in the unit of
-    the signal. `where` is the installation and pass in words, empty if the place is a whole channel. `p` is the
-    p-value, corrected for the number of places.
+    `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel; `p`
+    counts all places.
     """
 
     channel: str
@@ -203,10 +187,7 @@ class LocalScatter:
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place where the residuals `left` (N,) scatter more than elsewhere; None if there is none.
-
-    Of several such places, it is the one with the smallest p-value.
-    """
+    """Return the place of the least p-value where the residuals `left` (N,) scatter more than elsewhere."""
     return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 
 
@@ -241,10 +222,7 @@ def _places(linear: LinearSystem) -> Iterator[tuple[str, str, Mask]]:
 
 
 def _with_tails(linear: LinearSystem, beside: LinearSystem, noise: NoiseSize) -> NoiseHypothesis:
-    """Return the hypothesis that the noise has the tails of a t distribution, with factors `by_row`.
-
-    `beside` is the system with the effects of the model among its unknowns.
-    """
+    """Return the hypothesis of t-distributed noise; `beside` has the effects of the model as unknowns."""
     relative2 = linear.relative**2
     weight: Floats = np.ones(len(linear))
     scale, of_mean, square = noise.reading, weight, weight
@@ -287,10 +265,7 @@ def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> flo
 
 
 def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float:
-    """Return ln of the evidence of a system with the effects' columns `effects` (N, m).
-
-    The noise of a reading is integrated out, and the noise ratio averaged over the prior of the grid `like`.
-    """
+    """Return ln of the evidence with `effects` (N, m), the noise integrated out over the grid `like`."""
     grid = make_noise_grid(linear.with_random(effects * KNOWN_SIZE), like.sigma, 0.0)
     square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
     of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
@@ -302,12 +277,10 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Slow noise (of spectral density 1/f) of one size in some `channels` (0, 1, 2), independent in each.
+    """Slow noise (1/f) of one size, root mean square, unit of the signal, independent in some `channels`.
 
-    `size` is its root mean square over a run, in the unit of the signal. `columns` (N, k) are the changes of
-    the rows by one standard deviation of each of its k independent components. `evidence` is ln of the Bayes
-    factor against no slow noise, averaged over sizes. `cost` is ln of the ratio of the mean likelihood over
-    all sizes to the largest likelihood.
+    `columns` (N, k) are one standard deviation of each component; `evidence` is ln of the Bayes factor over all
+    sizes, `cost` ln of the mean over the largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -338,11 +311,7 @@ def _slow(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return the slow noise that is more probable than none; `white` also removes the effects of the model.
-
-    The slow noise has either one size common to all channels, or a size for each channel that has such noise,
-    whichever has the larger evidence. The result is empty if there is none.
-    """
+    """Return slow noise, common to all channels or by channel, that is more probable than none, if any."""
     waves = [_waves(linear, channel) for channel in range(3)]
     all_alike = _likeliest(linear, white, noise.reading, (0, 1, 2), np.hstack(waves))
     # a single channel pays for the choice among three
@@ -354,11 +323,7 @@ def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple
 
 
 def _of_reference(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the likelier of two hypotheses: 1/f noise of one reference for all channels, or of one for each.
-
-    The noise is a fraction of each signal. It resembles slow noise where a channel reads the same voltage
-    throughout.
-    """
+    """Yield 1/f noise, a fraction of each signal, of one reference or of one for each, the likelier."""
     signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
     own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
     if any(not waves.shape[1] for waves in own):
@@ -396,10 +361,7 @@ def _likeliest(
     columns: Floats,
     choices: int = 1,
 ) -> SlowNoise:
-    """Return the likeliest size of slow noise with the draws `columns` (N, k) of root mean square 1.
-
-    The hypothesis is one of as many `choices`.
-    """
+    """Return the likeliest size of slow noise with draws `columns` (N, k) of unit size, one of `choices`."""
     left, inside = white @ (linear.response / sigma), white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
     values = np.maximum(values, 0.0)
@@ -418,10 +380,9 @@ def _likeliest(
 
 
 def _waves(linear: LinearSystem, channel: int) -> Floats:
-    """Return draws (N, waves + 1) of 1/f noise in one channel, of unit root mean square about their mean.
+    """Return draws (N, waves + 1) of 1/f noise in a channel, of unit root mean square about their mean.
 
-    The last is the mean over the run, as large as the slowest wave: only the u of a bias shows it. There are no
-    draws if the channel has too few readings, or all at one time.
+    The last is the mean over the run, as large as the slowest wave. Too few readings, or one time, give none.
     """
     own = np.flatnonzero((linear.setting >= 0) & (linear.rows.channel == channel))
     time = linear.conditions.elapsed_s[linear.rows.reading[own]]
@@ -456,11 +417,7 @@ class NoiseKind:
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield the ways in which the noise of `linear` departs from normal noise of one size.
-
-    `digit` is the step of the last digit of the signals. `chosen` maps the kind of each noise hypothesis that
-    was accepted to its words.
-    """
+    """Yield departures of the noise from normal noise of one size; `chosen` has words of hypotheses."""
     unit = linear.readings.unit
     if np.any(linear.by_channel != 1.0):
         sizes = noise.reading * linear.by_channel
@@ -471,11 +428,13 @@ def noise_kinds(
             "channels", message(f"channel {CHANNELS[most]} is {times} times as noisy as the others: {told}")
         )
     if linear.by_run is not None:
+        run, series_of = linear.readings.run, linear.readings.series
+        each = [np.unique(series_of[run == number]).tolist() for number in np.unique(run)]
         own = ", ".join(
             message(
                 f"{quantity(noise.reading * float(size), unit)} in series {', '.join(str(s) for s in series)}"
             )
-            for series, size in zip(_series(linear), linear.by_run.sizes, strict=True)
+            for series, size in zip(each, linear.by_run.sizes, strict=True)
         )
         yield NoiseKind(
             "runs", message(f"the noise differs between runs, and each run is weighted by its own: {own}")
@@ -491,12 +450,6 @@ def noise_kinds(
         )
 
 
-def _series(linear: LinearSystem) -> list[list[int]]:
-    """Return the numbers of the series in each run."""
-    readings = linear.readings
-    return [np.unique(readings.series[readings.run == number]).tolist() for number in np.unique(readings.run)]
-
-
 LARGER: Final = 2.0
 """Least ratio of found to stated noise that is reported as a finding."""
 
@@ -506,12 +459,10 @@ BENCH_FILE: Final = message("the bench file")
 
 @dataclass(frozen=True)
 class NoiseFinding:
-    """Noise that is significantly larger than stated.
+    """Noise of a "reading" or a "setting" (`what`) that is significantly larger than `source` states.
 
-    `what` is "reading" for the noise of a reading, "setting" for the setting error. `found` and `stated` are
-    in `unit`, and `factor` is their ratio. `source` names in words what states the noise. `p` is the
-    probability that chance gives this ratio in any run. `series` are the series of the run concerned, empty
-    for all runs.
+    `found` and `stated` are in `unit`, `factor` is their ratio, `p` its p-value in any run; `series` are those
+    of the run (empty: all).
     """
 
     what: str
@@ -546,10 +497,8 @@ def noise_findings(
 ) -> tuple[NoiseFinding, ...]:
     """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
-    `stand_u` has the "setting_error" (rad) and the "voltmeter_error" (V) of the bench file. `typical_slope`
-    is the rms over the settings of |du/dφ|, in the unit of the signals per rad, as
-    `LinearSystem.typical_slope`. `digit` is the step of the last digit of the signals. With `by_run`, each run's
-    noise is compared with the noise stated for that run: by the bench file, or by the scatter of its samples.
+    `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file; `typical_slope`, the
+    unit of the signal per rad; `digit` is the last digit. With `by_run`, each run has its own noise.
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     setting = stand_u.get("setting_error", 0.0)
@@ -584,11 +533,9 @@ def _of_readings(
 def _stated(
     readings: Readings, stand_u: Mapping[str, float], rounding: float
 ) -> Iterator[tuple[float, float, str]]:
-    """Yield the stated noise of a reading, by the bench file and by its samples: size, freedom and source.
+    """Yield the size, freedom and source of the noise that bench file and samples state, with `rounding`.
 
-    The scatter of the samples and the bench file each give an item, if they state a noise. The `rounding`
-    error, which neither includes, is added. Samples do not show an error that they share; the bench file may
-    state it.
+    Samples do not show an error that they share; the bench file may state it.
     """
     size = stand_u.get("voltmeter_error", 0.0)
     if size > 0.0 and readings.unit == "V":

@@ -12,14 +12,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
-from bench.diagnosis.candidates import (
-    NOTHING_KNOWN,
-    Candidates,
-    KnownBench,
-    Variant,
-    is_form,
-    with_terms,
-)
+from bench.diagnosis.candidates import NOTHING_KNOWN, Candidates, KnownBench, Variant, is_form, with_terms
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
@@ -30,39 +23,48 @@ from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, find
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
-from bench.diagnosis.open_parts import (
-    beside,
-    channels_of,
-    left_open,
-    starting_states,
-    with_other_shapes,
-)
 from bench.diagnosis.posterior import (
     NoiseSize,
     Posterior,
     applied_of,
+    beside,
+    channels_of,
     common_volts,
     fit_found,
     known_together,
+    left_open,
     noise_size,
     posterior,
+    starting_states,
+    with_other_shapes,
 )
 from bench.diagnosis.residual_dictionary import WITH_CHANNELS
-from bench.diagnosis.residual_model import UNNAMED_FORM, FreeForm, UnexplainedScatter, describe
 from bench.diagnosis.result import (
+    UNNAMED_FORM,
     UNNAMED_WORDS,
     Diagnosis,
     EffectValue,
+    FreeForm,
     NamedEffect,
+    UnexplainedScatter,
     Verdict,
     assumed,
     at_reference,
+    describe,
     register,
 )
 from bench.diagnosis.search import Prepared, SearchTask, find_effects
 from bench.diagnosis.show import ModelComparison, contradicted, show
-from bench.diagnosis.visibility import detectable, hidden, smallest
-from bench.diagnosis.where import FarReading, far_readings, find_places, looking_like, order_of
+from bench.diagnosis.visibility import (
+    FarReading,
+    detectable,
+    far_readings,
+    find_places,
+    hidden,
+    looking_like,
+    order_of,
+    smallest,
+)
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import Readings
@@ -76,17 +78,13 @@ def diagnose(
     cache: ThresholdCache | None = None,
     there: KnownBench = NOTHING_KNOWN,
 ) -> Diagnosis:
-    """Return the diagnosis of a table of readings against a model.
+    """Return the diagnosis of a table of readings, with mistakes corrected in a copy, against a model.
 
-    `stand_u` maps names to standard uncertainties: those of the stand angles (`STAND_ANGLES`) and of the
-    "setting_error", rad, and that of the "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3) for
-    several blocks, are those of the data sheet with their signs, in the unit of the signal per g. Without them,
-    channels exchanged or reversed in the whole run cannot be found. `cache` has simulated thresholds. Effects
-    that the properties of the bench, `there`, exclude are not searched. Mistakes are corrected in a copy, which
-    is then diagnosed.
-
-    Raises `CalibrationError` if the readings do not determine the coefficients, and `MistakesLeaveTooLittle` if
-    only the corrected copy does not.
+    `stand_u` has the standard uncertainties of the angles (`STAND_ANGLES`) and the "setting_error", rad, and of
+    the "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3), are those of the data sheet with
+    signs, unit of the signal per g; without them, channels exchanged or reversed in the whole run cannot be
+    found. Effects that the bench, `there`, excludes are not searched. Raises `CalibrationError` if the readings
+    do not determine the coefficients, `MistakesLeaveTooLittle` if only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     digit = digit_of(readings)
@@ -152,10 +150,9 @@ def diagnose(
 
 
 def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
-    """Return the joint estimate without the weak finds that held-out readings do not confirm, and these finds.
+    """Return the joint estimate without weak finds that held-out readings do not confirm, and these.
 
-    They are left out only beside a stronger find. A find whose odds are far beyond the threshold needs no
-    confirmation by held-out readings.
+    They are left out only beside a stronger find; one far beyond the threshold needs no confirmation.
     """
     estimated = _estimated(prepared, naming)
     if estimated.gap.shrinks is not False or len(naming.found) < 2:
@@ -178,10 +175,7 @@ def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[Fou
 def _with_far(
     prepared: Prepared, estimated: _Estimated
 ) -> tuple[tuple[NamedEffect, ...], tuple[FarReading, ...]]:
-    """Return the effects, an unnamed one for far readings among them, and the far readings.
-
-    Effects that held-out readings do not confirm must not explain a reading that is far off.
-    """
+    """Return the effects and the far readings, which only effects confirmed by held-out readings may explain."""
     effects, linear = estimated.effects, prepared.linear
     columns = prepared.candidates.columns[:, list(estimated.naming.columns)]
     far = far_readings(linear, columns, estimated.noise)
@@ -195,12 +189,10 @@ def _with_far(
 
 @dataclass(frozen=True)
 class _Estimated:
-    """The joint estimate of coefficients and named effects.
+    """The joint estimate of coefficients and named effects, with the `noise` about them.
 
-    `noise` is the noise about the model with the effects. `sized` are the estimates with the effects in the
-    shapes found; `fitted`, those that also allow parts of other shapes. `in_part` are these parts, then the
-    starting states of mountings. `left_open` are the members of `in_part` that go into a model file. `gap` is
-    the prediction of held-out readings.
+    `sized` is with the shapes found, `fitted` with parts of others. `in_part` are these and starting states,
+    `left_open` those for a model file. `gap` is the prediction of held-out readings.
     """
 
     naming: Naming
@@ -214,7 +206,6 @@ class _Estimated:
 
 
 def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
-    """Estimate the named effects together with the coefficients, and predict held-out readings with them."""
     linear, candidates, whitened, data = (
         prepared.linear, prepared.candidates, prepared.whitened, prepared.data,
     )  # fmt: skip
@@ -231,10 +222,7 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
 
 
 def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
-    """Return the formulas of unnamed finds, or of an unnamed find tied with a name; None if names suffice.
-
-    A find without a formula is described by the terms of the dictionary that explain it.
-    """
+    """Return the terms for finds without a name, or for one tied with a name; None if names suffice."""
     linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
     candidates, naming = whitened.candidates, estimated.naming
     named = [one for one in naming.found if one.variant.named]
@@ -279,10 +267,9 @@ def effects_of(
     limit: Threshold,
     linear: LinearSystem | None = None,
 ) -> tuple[NamedEffect, ...]:
-    """Return the effects found, with the estimates `fitted` of their parameters and their p-values.
+    """Return the finds with estimates `fitted` of their parameters and p-values, for the threshold `limit`.
 
-    `limit` is the threshold of the search. From `linear`, if given, follow the aliases of periods per turn, and
-    the channel in which an unnamed effect shows.
+    From `linear`, if given, follow aliases of periods per turn, and channels of unnamed effects.
     """
     effects = []
     for found, mine in naming.sizes():
@@ -321,10 +308,7 @@ def effects_of(
 
 
 def name_of(candidates: Candidates, family: str) -> str:
-    """Return the name of a family as results show it: `UNNAMED_FORM` for every family with a formula.
-
-    Any other family is shown by its own name.
-    """
+    """Return the name of a family as results show it: `UNNAMED_FORM` if it has a formula, else its own."""
     return UNNAMED_FORM if is_form(candidates, family) else family
 
 
@@ -335,10 +319,7 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds of the families that may replace a find, by the names in results.
-
-    The odds of all unnamed forms are summed. Families below 1 % are left out unless they are ties.
-    """
+    """Return the odds of names for a find, unnamed forms as one; below 1 % only those of ties."""
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
@@ -376,10 +357,7 @@ def _in_words(variant: Variant, mostly_in: str) -> str:
 
 
 def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
-    """Yield each parameter of an effect with its u, in the units of the catalogue.
-
-    `applied` has an entry for each set of mountings. If there are several, each value states its mountings.
-    """
+    """Yield each parameter of an effect with its u, in units of the catalogue, by mounting if there are several."""
     for one in applied:
         mounts = "+".join(one.installations) if len(applied) > 1 else ""
         for p in one.effect.parameters:
@@ -398,11 +376,9 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 @dataclass(frozen=True)
 class Rival:
-    """A family that may be present in place of an effect found.
+    """A family in place of an effect found: ln of its Bayes factor, whether it is a tie, and what changes.
 
-    `evidence` is ln of the family's Bayes factor. `tied` says whether the family is a tie of the effect. `shift`
-    (12 × blocks,) are the changes of the coefficients, in units of their u, if the family replaces the effect in
-    the model.
+    `shift` (12 × blocks,) are the changes of the coefficients with it instead, in units of their u.
     """
 
     family: str
@@ -412,20 +388,13 @@ class Rival:
 
     @property
     def largest_shift(self) -> tuple[str, float]:
-        """The coefficient that changes most if this family is in the model instead, by name, and its change.
-
-        The change is in units of the u of the coefficient.
-        """
+        """The coefficient, by name, that changes most with this family instead, and the change in its u."""
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each effect found, the most plausible families in its place, the best first.
-
-    These are the `LISTED` families with the largest evidence, and in any case the effect itself and the effects
-    that the readings cannot distinguish from it.
-    """
+    """Return, for each find, the `LISTED` likeliest families in its place, the best first, and all ties."""
     naming = diagnosis.naming
     if not naming.found:
         return ()
@@ -458,9 +427,8 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 class FullDiagnosis:
     """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has, for each effect found, the families that may be present in its place. `skipped_rows` names the
-    rows of the source that could not be read. `shown` has the simulations of the first block. If there are
-    several blocks, `blocks` has the simulations of all.
+    `ranking` has families in place of each find; `skipped_rows` could not be read; `shown` has the simulations
+    of the first block, `blocks` those of all if there are several.
     """
 
     source: str
@@ -506,11 +474,9 @@ def diagnose_fully(
 ) -> FullDiagnosis:
     """Diagnose the readings of a bench, simulate them, rank the rivals, and propose the next measurement.
 
-    Nothing is written. `g_m_s2` is the local gravity. `source` is the name of the readings; `simulated` says
-    whether simulated instruments gave them. `known` are mistakes that are already corrected in the readings.
-    `stated` says whether the readings are certainly from this `bench`; if not, the properties of its meters and
-    head exclude no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as
-    `diagnose` does.
+    `g_m_s2` is local gravity. `known` mistakes are already corrected. Unless `stated`, the readings may not be
+    from this bench, which then excludes no effects. `nominal` (blocks, 3) replaces its scale factors. Raises as
+    `diagnose`.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal
@@ -540,7 +506,6 @@ def diagnose_fully(
 def _shown(
     diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
 ) -> Iterator[ModelComparison]:
-    """Yield, for each block, the simulations with the effects that were found in it."""
     readings = diagnosis.mistakes.corrected
     if readings.block is None:
         yield show(

@@ -45,10 +45,7 @@ METER_GAIN: Final = "voltmeter_gain"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty `u`.
-
-    `u_readings` is the part of `u` that the noise of the readings causes.
-    """
+    """A value with its standard uncertainty `u`; `u_readings` is the part from the noise of the readings."""
 
     value: float
     u: float
@@ -59,10 +56,8 @@ class Estimate:
 class ChannelCalibration:
     """The calibration of one channel: gain (V/V), offset (V) and drift (V/h).
 
-    If the reference stays at one level, one of `gain` and `offset_v` is None, as the record cannot separate
-    them. `covariance_v` is the covariance of gain and offset, V. `white_v` and `slow_v` are the standard
-    deviations of the white and the slow noise of one mean of the record, V. `residual_v` (n,) are the
-    residuals of the n means.
+    One level leaves gain or offset None; `covariance_v` is theirs. `white_v` and `slow_v` are the noise of one
+    mean, V, and `residual_v` (n,) the residuals.
     """
 
     channel: str
@@ -77,12 +72,10 @@ class ChannelCalibration:
 
 @dataclass(frozen=True)
 class RecordCalibration:
-    """The calibration of all c channels of a record of n means.
+    """The calibration of all c channels of a record of n means, of mean reference `level_v`.
 
-    `level_v` is the mean of the reference. `known_v` (n, c) are the voltages of the given effects, which are
-    already subtracted. `not_observable` says which of gain and offset the record does not determine.
-    `repeats` compares the scatter of calibrations of parts of the record with their u; it is None if the
-    record is too short.
+    `known_v` (n, c) of given effects are subtracted; `not_observable` says what the record does not determine;
+    `repeats` compares parts of the record, None if it is short.
     """
 
     record: Record
@@ -94,10 +87,7 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return the signals of m readings minus gain × reference, offset and given effects, V, shape (m, c).
-
-        The drift is not subtracted.
-        """
+        """Return signals minus gain × reference, offset and effects, V, (m, c); drift is not subtracted."""
         at, record = readings.time_s, self.record
         reference_v = numbers(readings.extra[REFERENCE_V])
         left = []
@@ -114,13 +104,11 @@ def calibrate_record(
 ) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
-    Effects with a stated u keep their values, and their u adds to the result. Effects without u were found in
-    these readings and are estimated again together with gain and offset; u includes the uncertainty of their
-    shapes (lag, width, time constant). u also includes the unknown state in which a lag begins, the slow noise and
-    the scatter of the reference (column `reference_sd_v`). `hidden` are sources of error: effects of the meters'
-    temperature (`unread_sources`), which u includes if the record lacks this temperature; errors of the gain
-    (`meter_gain_sources`), which u includes if the reference just changes linearly with time. Raises
-    `CalibrationError` if the readings cannot be evaluated, or such a reference has no source for a gain.
+    Effects with a stated u keep their values; others, found here, are estimated again. u includes shapes,
+    states in which a lag begins, slow noise and the scatter of the reference (`reference_sd_v`). Of the
+    `hidden` sources, it includes those of a temperature (`unread_sources`) that the record lacks, and those of
+    the gain (`meter_gain_sources`) for a linear reference. Raises `CalibrationError` if the readings cannot be
+    evaluated, or such a reference has no source for a gain.
     """
     record = make_record(readings)
     hidden = _acting(record, hidden)
@@ -128,7 +116,8 @@ def calibrate_record(
     left = record.less(known)
     scatter, note = _scatter(readings, record)
     errors = [np.repeat(scatter[:, None], len(record.channels), axis=1)]
-    errors += [_one_u(record, one) for one in effects if one.u]
+    of_one_u = [(one.effect, {**one.complete_values(), **one.u}, one.channels) for one in effects if one.u]
+    errors += [record.added(AppliedEffect(*one)) for one in of_one_u]
     errors += [_one_start(record, one) for one in effects if one.u and "lag" in one.complete_values()]
     errors += [error for one in hidden for error in _of_hidden(record, one)]
     level = float(record.reference_v.mean())
@@ -138,17 +127,19 @@ def calibrate_record(
         level_v=level,
         known_v=known,
         not_observable=() if record.several_levels else tuple(_hidden(record, level)),
-        notes=(*record.notes, *note, *_shapes_kept(record, effects), *_widened(hidden)),
+        notes=(
+            *record.notes,
+            *note,
+            *_shapes_kept(record, effects),
+            *(f"u includes {one.name}: {one.origin}" for one in hidden),
+        ),
         repeats=_parts(left),
     )
 
 
 @dataclass(frozen=True)
 class _Refitted:
-    """An effect to estimate again: the voltages (n, c) that it adds with its values, and its forms.
-
-    `start` (n,) is as in `start_of`. The `forms` are None if its shape is known.
-    """
+    """Voltages (n, c) of an effect with its values, its `start_of`, and its forms, None for a known shape."""
 
     added_v: Floats
     start: Floats
@@ -185,15 +176,8 @@ def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[s
             )
 
 
-def _widened(hidden: Sequence[ErrorSource]) -> Iterator[str]:
-    return (f"u includes {one.name}: {one.origin}" for one in hidden)
-
-
 def _parts(record: Record) -> Repeats | None:
-    """Return the comparison of equal parts of a record.
-
-    It is None if the record is too short, a part lacks a level or noise, or the level of the parts rises.
-    """
+    """Return the comparison of equal parts of a record; None if it is short or a part lacks level or noise."""
     if len(record) < FOLDS * LEAST or record.ramp:
         return None
     parts = [_part(record, rows) for rows in np.array_split(np.arange(len(record)), FOLDS)]
@@ -215,10 +199,9 @@ def _part(record: Record, rows: Ints) -> Record:
 
 
 def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tuple[ChannelCalibration, ...]:
-    """Return the calibration of each channel.
+    """Return the calibration of each channel with effects to estimate `again`.
 
-    `errors` (e, n, c) has, for each of e errors common to all readings, the voltages for an error of one u.
-    `again` are the effects to estimate again.
+    `errors` (e, n, c) has the voltages of one u of each of e common errors.
     """
     trials, level = NoiseTrials.of(record), float(record.reference_v.mean())
     found = []
@@ -250,10 +233,9 @@ def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tup
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift of a `channel`.
+    """Return gain, offset and drift of a `channel` from deviation, slope and gain - 1 in `mean` (p, 1 + e).
 
-    The first column of `mean` has the deviation at the mean level, the slope in time and, for several levels,
-    gain - 1; each further column has their changes by an error of one u. `spread` is their covariance.
+    The first column of `mean` is the estimate, of covariance `spread`; others are changes by one u of an error.
     """
     several = len(mean) > 2
     has_gain = several or (abs(level) >= ZERO_V and not record.ramp)
@@ -279,12 +261,10 @@ def _channel(
 
 
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
-    """Return least-squares estimates (p, d) of p columns in d targets, their covariance, and the noise.
+    """Return least-squares estimates (p, d) over trial noises, the covariance (p, p) of the first, and its noise.
 
-    `design` (n, p) has the columns, of which the first are the trend; `targets` (n, d) has one target per
-    column. The estimates are averaged over the trial noises, weighted by their likelihood for the first target.
-    The covariance (p, p) is that of the estimates for the first target, and includes their variation between the
-    trial noises. The noise returned is the most probable one.
+    `design` (n, p) begins with the trend; `targets` (n, d). The first target gives the weights; its covariance
+    has the variation between noises. The noise is the most probable one.
     """
     count = design.shape[1]
     beside = design[:, trials.trend.shape[1] :]
@@ -314,12 +294,6 @@ def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...
         )
     sd = np.interp(record.conditions.time_s, readings.time_s[known], numbers(cells)[known])
     return sd, ()
-
-
-def _one_u(record: Record, applied: AppliedEffect) -> Floats:
-    """Return the voltages (n, c), V, that an effect adds if its size is one standard uncertainty."""
-    values = applied.complete_values()
-    return record.added(AppliedEffect(applied.effect, {**values, **applied.u}, applied.channels))
 
 
 def _one_start(record: Record, applied: AppliedEffect) -> Floats:

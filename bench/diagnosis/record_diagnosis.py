@@ -22,7 +22,7 @@ from bench.diagnosis.record_model import FOLLOWS, MOVE, Record, make_courses, ma
 from bench.diagnosis.record_noise import Noise, solved
 from bench.diagnosis.record_search import ChannelFit, RecordWork
 from bench.diagnosis.result import UNNAMED_WORDS, Findings, NamedEffect
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.visibility import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 
@@ -38,10 +38,7 @@ GAIN_IN_DRIFT: Final = (
 
 @dataclass(frozen=True)
 class Rival:
-    """A kind of response (at once, lag, hysteresis), and how well it predicts held-out excursions.
-
-    `held_out_rms_v` (V) and `chi2` are the RMS and the chi-square of measured minus predicted.
-    """
+    """A kind of response, with RMS (V) and chi-square of measured minus predicted in held-out excursions."""
 
     what: str
     held_out_rms_v: float
@@ -52,13 +49,10 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` describes, for each channel, the residuals of a fit without the effects found. `fits` has the
-    estimates of each channel from the model with the effects found. `gap` is measured on excursions (of
-    temperature or rail voltage) held out in turn. `rivals` compares, on the same excursions, the kinds of
-    response of an effect: at once, with a lag, with hysteresis. `far` has a sentence for each mean that is
-    far from the model, the farthest first. `noises` has the noise of the mean of the channels, then the noise
-    of each difference between channels (`RecordWork.helmert`). `hidden` are the effects that the record
-    cannot show.
+    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap` and `rivals`
+    (kinds of response) are of excursions held out in turn. `far` has a sentence for each far mean; `noises` has
+    that of the mean of channels, then of differences (`RecordWork.helmert`); `hidden` has effects that the
+    record cannot show.
     """
 
     source: str
@@ -72,10 +66,7 @@ class RecordDiagnosis(Findings):
 
     @property
     def white_v(self) -> float:
-        """Standard deviation of the white noise of the average over all channels, V.
-
-        The value is for one mean of consecutive readings of the record.
-        """
+        """Standard deviation of the white noise of the average of all channels, V, of one mean of readings."""
         return self.noises[0].white / float(np.sqrt(len(self.record.channels)))
 
     @property
@@ -90,10 +81,9 @@ class RecordDiagnosis(Findings):
 
 
 def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -> RecordDiagnosis:
-    """Return the diagnosis of a record at a known input.
+    """Return the diagnosis of a record at a known input, with known `effects` subtracted.
 
-    The known `effects` are subtracted with their values; the state in which a lag begins is estimated. Raises
-    `CalibrationError` if the record cannot be evaluated.
+    The state in which a lag begins is estimated. Raises `CalibrationError` if the record cannot be evaluated.
     """
     record = make_record(readings)
     work = RecordWork.of(record, make_courses(record)).without(effects)
@@ -165,10 +155,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well each excursion is predicted from the rest, and the comparison of kinds of response.
-
-    `finds` are the effects found in the whole record; they are estimated again without each excursion.
-    """
+    """Return how well the rest predicts each excursion with `finds`, and the comparison of responses."""
     noises = work.noises([one.variant for one in finds])
     folds: list[Fold] = []
     for number, course in enumerate(one.variant for one in finds):
@@ -198,10 +185,9 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
 
 
 def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
-    """Yield the sets of means to hold out in turn: a label and a mask each.
+    """Yield label and mask of means to hold out in turn: excursions of what the `course` follows.
 
-    They are excursions of the quantity that the `course` follows. For a course in time they are two halves,
-    made of alternate blocks of means.
+    For a course in time they are two halves, of alternate blocks of means.
     """
     record, conditions = work.record, work.record.conditions
     match FOLLOWS[course.family]:
@@ -243,11 +229,10 @@ def _predicted(
     rows: Mask,
     noises: Sequence[Noise],
 ) -> HeldOut:
-    """Predict the held-out `rows` from the other rows.
+    """Predict the held-out `rows` from the others, with the courses `others` and the best of `shapes`.
 
-    The model has the courses `others` and, of the `shapes`, the one that fits the other rows best. A straight line
-    in the held-out rows is subtracted from the errors, as slow noise sets the level after an excursion. The
-    chi-square of the prediction is that of all rows minus that of the other rows; it includes all uncertainties.
+    A line is subtracted from the errors, as slow noise sets the level. Chi-square is that of all rows minus
+    that of the others.
     """
     rest = np.flatnonzero(~rows)
     lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]
@@ -273,9 +258,7 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how well each kind of response predicts excursions, for the first find that follows the meter's
-    temperature.
-    """
+    """Yield how kinds of response predict excursions, for the first find that follows the meter's temperature."""
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

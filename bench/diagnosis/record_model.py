@@ -22,7 +22,7 @@ from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.levels import FAR, NEGLIGIBLE
 from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.open_parts import BEYOND, Shape
+from bench.diagnosis.posterior import BEYOND, Shape
 from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
@@ -48,12 +48,10 @@ OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 
 @dataclass(frozen=True)
 class Record:
-    """A record at a known input, as n means of consecutive readings in c channels.
+    """A record at a known input, as n means of consecutive readings in c `channels` (indices).
 
-    `channels` are the indices of the channels. `reference_v` (n,) is the input, V; `deviation_v` (n, c) is the
-    signal minus the input, V. `scale` (n,) is the relative noise of each mean, from the scatter of its readings.
-    `conditions` has the times, temperatures and rail voltages of the means. `used` (m,) is the mask
-    of the readings of the table that the means contain.
+    `reference_v` (n,) is the input, `deviation_v` (n, c) the signal minus it, V; `scale` (n,) is the relative
+    noise of a mean; `conditions` are of the means; `used` (m,) masks the readings in them.
     """
 
     source: str
@@ -94,19 +92,13 @@ class Record:
 
     @property
     def trend(self) -> Floats:
-        """The columns (n, 2) that every model contains, those of `line`.
-
-        If the reference has several levels, a third column is the reference minus its mean, V, for the gain.
-        """
+        """The columns (n, 2) of `line`; for several levels, a third is the reference minus its mean, V."""
         gain = [self.reference_v - self.reference_v.mean()] * self.several_levels
         return np.column_stack([self.line, *gain])
 
     @property
     def zero_and_drift(self) -> Floats:
-        """The matrix (2, p) that converts estimates of the p columns of `trend` to zero (V) and drift (V/h).
-
-        They apply to the middle of the record. If the reference has several levels, the zero is that at 0 V.
-        """
+        """The matrix (2, p) from estimates of `trend` to zero (V), at 0 V or the only level, and drift (V/h)."""
         turn = np.diag([1.0, 2.0 / float(self.time_h[-1])])
         level_v = [[-float(self.reference_v.mean())], [0.0]] if self.several_levels else np.zeros((2, 0))
         return np.hstack([turn, level_v])
@@ -132,9 +124,8 @@ class Record:
 
 
 def make_record(readings: Readings) -> Record:
-    """Return a table of readings at a known input as means over equal intervals of time.
+    """Return readings at a known input as means over equal times, from the last early jump on.
 
-    Means before a jump at the beginning are left out: the input had not settled.
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
     time_s, reference_v, channels = _checked(readings)
@@ -198,10 +189,7 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
 
 
 def without_noise(record: Record) -> Iterator[str]:
-    """Yield a sentence for each channel that has no noise.
-
-    If all channels have noise, yield a sentence for each pair of channels with identical noise.
-    """
+    """Yield a sentence for each channel without noise, or else for each pair with the same noise."""
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
     least = NEGLIGIBLE * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
@@ -213,20 +201,14 @@ def without_noise(record: Record) -> Iterator[str]:
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
-    """Return the indices of the readings in each mean: at most `BINS` means over equal intervals of time.
-
-    `time_s` (m,) are the times of the readings, s. Intervals without readings give no mean.
-    """
+    """Return the indices of the readings at `time_s` (m,), s, in each mean: at most `BINS` equal intervals."""
     edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(time_s)) + 1)
     of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
     return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
 
 
 def levels_apart(reference_v: Floats) -> bool:
-    """Return whether the reference (n,) changes by more than the fraction `LEVELS` of its largest value.
-
-    The noise of a reading at a short circuit is no change.
-    """
+    """Return whether the reference (n,) changes by more than `LEVELS` of its largest value, above `ZERO_V`."""
     largest = np.abs(reference_v).max()
     return bool(largest >= ZERO_V and np.ptp(reference_v) > LEVELS * largest)
 
@@ -270,10 +252,9 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
 
 
 def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Floats, Mask]:
-    """Return robust means of groups of rows, their scatter, and the mask of the rows used.
+    """Return means (n, c) of groups without rows `FAR` from the median, their scatter, and the rows used.
 
-    Rows that are `FAR` from the median of their group are left out. The means are (n, c); the scatter (n, c)
-    is the standard deviation of a group's rows, estimated from their median deviation.
+    The scatter (n, c) is the standard deviation of a row, from the median deviation.
     """
     middle = np.array([np.median(deviation[rows], axis=0) for rows in groups])
     off = [np.abs(deviation[rows] - at) for rows, at in zip(groups, middle, strict=True)]
@@ -289,11 +270,10 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the scatter (n, c) of the readings in each mean.
+    """Return the relative size (n,) of the noise from the `spread` (n, c) of each mean.
 
-    If the largest size is less than `LARGER` times the smallest, the noise counts as uniform. Sizes beyond a
-    factor of `LARGER` squared from their median are set to that limit. The size is smoothed over a seventh of a
-    full record.
+    Below a range of `LARGER` it is uniform, and within `LARGER` squared of the median. It is smoothed over a
+    seventh of a full record.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
@@ -326,10 +306,7 @@ FOLLOWS: Final[Mapping[str, str]] = {
 
 
 def make_courses(record: Record) -> Candidates:
-    """Return what may explain a record: every effect of `FOLLOWS` in each of its shapes.
-
-    Effects that need a temperature or rail voltage that the record lacks are left out (see also `courses_of`).
-    """
+    """Return every effect of `FOLLOWS` in each shape, if the record has the temperature or rail it needs."""
     conditions = record.conditions
     there = {"meter": conditions.meter_c is not None, "rail": conditions.supply_v is not None, "time": True}
     shown = [CATALOGUE[name] for name, driver in FOLLOWS.items() if there[driver]]
@@ -337,10 +314,7 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return the shapes of an effect to try: each shape parameter by itself, the others at their default.
-
-    A parameter has the values of the catalogue's grid and, if it has a unit, one value `BEYOND` its end.
-    """
+    """Return shapes to try: each parameter on its grid, or `BEYOND` it if it has a unit, others at default."""
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
@@ -352,11 +326,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 
 
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
-    """Return the shapes that an effect of a model may have in a record.
-
-    Only the given shape is returned for a supply, whose rail is known, for a formula, and for an effect with
-    several shape parameters that are not zero.
-    """
+    """Return the shapes that an effect may have; only the given one for rails, formulas, several parameters."""
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
         return [(effect, shape)]
@@ -373,11 +343,7 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
 
 
 def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
-    """Return the column (n,) of an effect in one shape, V.
-
-    It is the voltage that the effect adds to a channel at its plausible size, each mean divided by its relative
-    noise.
-    """
+    """Return the column (n,), V, of the plausible size of an effect in one shape, over relative noise."""
     size = next(p for p in effect.parameters if p.is_size)
     plausible = np.full(3 if size.per_channel else (), size.plausible)
     values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
@@ -385,10 +351,7 @@ def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
-    """Return the column (n,) of the starting state of an effect with a lag, V; it is zero without a lag.
-
-    It is the voltage of the effect at its plausible size in a `fading_record`, scaled as in `column_of`.
-    """
+    """Return the column (n,) of the starting state of an effect with a lag (`fading_record`), else zeros."""
     lag_s = dict(shape).get("lag", 0.0)
     if not lag_s or FOLLOWS.get(effect.name) != "meter":
         return np.zeros(len(record))
@@ -396,20 +359,16 @@ def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def fading_record(record: Record, lag_s: float) -> Record:
-    """Return the record with the temperature that a lag leaves of a deviation at the start.
-
-    A record may begin while the temperature changes. The deviation is the standard deviation of the temperature.
-    """
+    """Return the record with the temperature that a lag leaves of a deviation of 1 sigma at the start."""
     left = np.exp(-record.time_h * HOUR / lag_s) if lag_s else np.zeros(len(record))
     meter_c = METER_REFERENCE_C + np.std(record.conditions.meter_warmth_k) * left
     return replace(record, conditions=replace(record.conditions, meter_c=meter_c))
 
 
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
-    """Return effects, each in one shape, as candidates with the columns of `column_of`.
+    """Return effects in shapes as candidates of `column_of`, the same column for each channel of its own.
 
-    An effect that has a size for each channel has the same column for each channel of the record. A form that the
-    trend can describe is left out.
+    A form that the trend can describe is left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []
     kinds: list[Column] = []

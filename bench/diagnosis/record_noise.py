@@ -25,11 +25,10 @@ They are a factor of about three apart; longer ones resemble flicker noise.
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
-    """Yield a covariance matrix (n, n), of mean variance 1, for each kind of slow noise.
+    """Yield a covariance (n, n), of mean variance 1, of each kind of slow noise at `time_h` (n,), h.
 
-    The kinds are a random walk, flicker noise, and several noises of exponential correlation. The covariance of
-    flicker noise is the integral of exponential covariances over ln of their correlation time, from the mean step
-    of time to the length of the record. `time_h` (n,) are the times, h.
+    Random walk; flicker: the integral of exponential covariances over ln of their time, from mean step to
+    length; exponential correlations.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -42,11 +41,9 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise plus slow noise of one kind, over n means.
+    """White noise of `variance`, V², plus slow noise of `ratio` times this on average, over n means.
 
-    `variance` is the variance of the white noise, V²; the slow noise has `ratio` times this variance on average.
-    `slow` (n,) are the eigenvalues of the slow noise's covariance for a mean variance of 1; `vectors` (n, n), its
-    eigenvectors.
+    `slow` (n,) and `vectors` (n, n) are the eigensystem of the slow covariance of mean variance 1.
     """
 
     slow: Floats
@@ -69,10 +66,7 @@ class Noise:
         return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return `count` random samples of the noise as columns, (n, count), V.
-
-        The factor of the covariance is the symmetric root, as the signs of eigenvectors vary between machines.
-        """
+        """Return `count` samples of the noise (n, count), V; the symmetric root is the same on all machines."""
         drawn = self.vectors.T @ rng.standard_normal((len(self.slow), count))
         return np.asarray(self.vectors @ (self.sd[:, None] * drawn))
 
@@ -86,9 +80,8 @@ class Noise:
 class NoiseTrials:
     """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `slow` has, for each kind, the eigenvalues (n,) and eigenvectors (n, n) of the covariance of the record's n
-    means. `trend` (n, 2 or 3) has the columns of `Record.trend`, each row divided by the relative noise of its
-    mean.
+    `slow` has eigenvalues (n,) and eigenvectors (n, n) of each kind; `trend` (n, 2 or 3) is that of the record
+    over relative noise.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]
@@ -113,10 +106,10 @@ class NoiseTrials:
     def products(
         self, known: Floats, columns: Floats, targets: Floats, starts: Floats | None = None
     ) -> Products:
-        """Return the scalar products of h columns and d targets for each trial noise.
+        """Return the scalar products of `columns` (n, h) and `targets` (n, d) for each trial noise.
 
-        `columns` (n, h) and `targets` (n, d) have the trend and the columns `known` (n, m) projected out. `starts`
-        (n, h) has the starting state (`start_of`) that belongs to each column.
+        The trend and `known` (n, m) are projected out; `starts` (n, h) has the states of the columns
+        (`start_of`).
         """
         fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
         starts = np.zeros_like(columns) if starts is None else starts
@@ -139,13 +132,9 @@ class NoiseTrials:
 class Products:
     """Scalar products of h whitened columns and d targets, for each of s trial noises.
 
-    `square` (s, h) are the squared lengths of the columns; `product` (s, h, d), the scalar products of columns
-    and targets; `left` (s, d), the squared lengths of the targets. `log_det` (s,) is the part of ln of the
-    restricted likelihood that does not depend on the data.
-
-    The b columns with the indices `begun` (b,) have a starting state. `start_square` (s, b) are the squared lengths
-    of these states; `start_product` (s, b, d), their scalar products with the targets; `across` (s, b), those with
-    their columns.
+    Squared lengths are `square` (s, h) and `left` (s, d) of the targets, `product` (s, h, d) is between them;
+    `log_det` (s,) is the part of ln of the likelihood without data. Columns `begun` (b,) have starting states:
+    `start_square` (s, b), `start_product` (s, b, d) with targets, `across` (s, b) with columns.
     """
 
     noises: tuple[Noise, ...]
@@ -166,12 +155,10 @@ class Products:
 
     @property
     def sizes(self) -> tuple[Floats, Floats, Floats]:
-        """The size of each column in the first target, if the model has this column in addition.
+        """ln of the restricted likelihood with each column in the first target, its size and variance, (h,).
 
-        Three arrays (h,) are returned: ln of the restricted likelihood, the size, and its variance. They are
-        averages over the trial noises of one kind. Of the kinds that the record does not exclude, it is the kind
-        with the largest u, so that u covers the others. The prior standard deviation of a starting state is the
-        size that is estimated with a free state.
+        They are averages over noises of the kind, of those not excluded, with the largest u, which covers the
+        others. The prior of a starting state is the size with a free state.
         """
         freedom, each = self.freedom - 1, []
         for number in range(len(self.noises)):
@@ -195,10 +182,10 @@ class Products:
     def _beside_states(
         self, number: int, ridge: Floats | None = None
     ) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return `square`, `product`, `left` with the starting states fitted, and their cost in ln of likelihood.
+        """Return `square`, `product`, `left` (h, d) with starting states fitted, and ln of their cost.
 
-        All are (h, d), for the trial noise with the index `number`. `ridge` (h, d) is the variance of the white
-        noise divided by the prior variance of the state of each column; None: the states are free.
+        `ridge` (h, d) is the white variance over the prior variance of the state of each column; None: free
+        states.
         """
         b, product = self.begun, self.product[number].copy()
         square, left = np.empty_like(product), np.empty_like(product)
@@ -224,10 +211,9 @@ class Products:
 
     @property
     def gain(self) -> Floats:
-        """ln of the Bayes factor of adding each column to the model, for each target, shape (h, d).
+        """ln of the Bayes factor of adding each column, for each target, (h, d), averaged over trial noises.
 
-        The prior of a column's amplitude, and of that of its starting state, is an average of normal distributions
-        about zero, with the standard deviations `SIZES`. Both models are averaged over the trial noises.
+        The prior of amplitudes and of starting states is an average of normal distributions of the `SIZES`.
         """
         total = np.full(self.product.shape[1:], -np.inf)
         for number, log_det in enumerate(self.log_det):
@@ -250,11 +236,7 @@ def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
 
 
 def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
-    """Return the least-squares estimates of whitened columns in targets, their covariance, and chi-square.
-
-    `columns` are (n, m), and `targets` (n, …). The estimates are (m, …); their covariance (m, m) is for noise of
-    variance 1. Chi-square is the sum of squares of the residuals.
-    """
+    """Return least-squares estimates (m, …) of whitened columns (n, m) in targets, covariance, and chi-square."""
     spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
     mean = spread @ columns.T @ targets
     return mean, spread, float(np.sum((targets - columns @ mean) ** 2))

@@ -15,17 +15,9 @@ from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
 from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
-from bench.diagnosis.open_parts import Shape
 from bench.diagnosis.pipeline import effects_of
-from bench.diagnosis.posterior import Posterior
-from bench.diagnosis.record_model import (
-    MOVE,
-    Record,
-    column_of,
-    courses_of,
-    shape_of,
-    start_of,
-)
+from bench.diagnosis.posterior import Posterior, Shape
+from bench.diagnosis.record_model import MOVE, Record, column_of, courses_of, shape_of, start_of
 from bench.diagnosis.record_noise import Noise, NoiseTrials, solved
 from bench.diagnosis.result import NamedEffect
 from bench.model.effects import CATALOGUE, AppliedEffect
@@ -38,10 +30,9 @@ FAINT: Final = 9.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V) and drift (V/h) of a channel with their u, estimated together with the effects found.
+    """Zero (V), at 0 V for several levels, and drift (V/h) of a channel with u, beside the finds.
 
-    If the reference has several levels, a gain is fitted too, and the zero is that at 0 V. `before_v` (n,) are the
-    residuals of a fit without the effects, V; `residual_v` (n,), the residuals of a fit that includes them, V.
+    `before_v` and `residual_v` (n,) are residuals without and with them, V.
     """
 
     channel: str
@@ -55,12 +46,10 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class Forms:
-    """The h forms that a course may have in a record, with the likelihood of each.
+    """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
 
-    `columns` (n, h) are as in `column_of`, `starts` (n, h) as in `start_of`. `log` (h,) is ln of the likelihood.
-    `size` and `variance` (parts, h) are the estimated size and its variance in each component. The first forms
-    differ in the shape `parameter`: they have its `values`, with the probabilities `of_values` among these forms.
-    `parameter` is None if the course has none with a unit.
+    `columns` and `starts` (n, h) are as `column_of` and `start_of`; `size` and `variance` are (parts, h). The
+    first forms have `values` of a shape `parameter` with a unit (or None), of probabilities `of_values`.
     """
 
     columns: Floats
@@ -73,10 +62,10 @@ class Forms:
     of_values: Floats = field(default_factory=lambda: np.zeros(0))
 
     def variance_beside(self, noise: Noise, design: Floats, held: Floats) -> Floats:
-        """Return the covariance (p, p) that the unknown form of the course adds to the estimates of other columns.
+        """Return the covariance (p, p) that the unknown form adds to the estimates of other columns.
 
-        The first p columns of `design` (n, p + 1) are these other columns, the last one the data. Each likely form
-        gives an estimate. Deviations count from the estimate with the course in another form, `held` (n, k).
+        These are the first p of `design` (n, p + 1); the last is the data. Deviations of likely forms count
+        from `held`.
         """
         weight = special.softmax(self.log)
         likely = np.flatnonzero(weight > INSEPARABLE)
@@ -95,10 +84,9 @@ class Forms:
 
 @dataclass(frozen=True)
 class RecordWork:
-    """A record, the courses that may explain it, and its trial noises.
+    """A record of n means, the courses that may explain it, and its trial noises.
 
-    The c channels are evaluated as c components: their mean, and their differences (`helmert`). The record has n
-    means. `kept` is a cache of columns by the name and shape of an effect.
+    Its channels are evaluated as components (`helmert`). `kept` caches columns by name and shape of an effect.
     """
 
     record: Record
@@ -145,10 +133,7 @@ class RecordWork:
 
     @property
     def helmert(self) -> Floats:
-        """The orthogonal Helmert matrix (c, c) that converts channels to components.
-
-        The first component is the mean of the channels times the square root of c.
-        """
+        """The orthogonal Helmert matrix (c, c) from channels to components; the first is √c times their mean."""
         count = len(self.record.channels)
         return np.asarray(linalg.helmert(count, full=True)) if count > 1 else np.ones((1, 1))
 
@@ -163,10 +148,7 @@ class RecordWork:
         return range(len(self.record.channels))
 
     def _in_part(self, courses: Sequence[Variant], part: int) -> tuple[Floats, Floats]:
-        """Return the columns and the starting states, each (n, m), of courses in the component `part`.
-
-        A course of one size for all channels occurs in the mean only: m may be less than their number.
-        """
+        """Return columns and starting states (n, m) in a component; a common size occurs in the mean only."""
         mine = [course for course in courses if part == 0 or self.of_channels(course)]
         for one in mine:
             if (one.family, one.shape) not in self.kept:
@@ -187,10 +169,7 @@ class RecordWork:
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Variant]) -> list[Noise]:
-        """Return the most probable noise of each component, with the courses in the model.
-
-        The sizes of the courses have no prior.
-        """
+        """Return the most probable noise of each component beside the courses, whose sizes have no prior."""
         none, signal = np.zeros((len(self.record), 0)), self.signal
         return [
             self.trials.products(self.columns(courses, k), none, signal[:, k : k + 1]).noise
@@ -198,10 +177,9 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each of h variants (h, d), and of the posterior odds of each family.
+        """Return ln of the Bayes factor of each variant (h, d), and of the odds of each family, beside `found`.
 
-        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns
-        (n, d).
+        `targets` has, for each component, d data sets as columns (n, d).
         """
         every = self.candidates.variants
         own = np.array([self.of_channels(one) for one in every])
@@ -215,11 +193,10 @@ class RecordWork:
         return total, families + self.candidates.log_prior[:, None]
 
     def search(self) -> tuple[list[FoundEffect], Threshold]:
-        """Return the effects found, strongest first, and the threshold of the search.
+        """Return the effects found, strongest first, and the threshold, simulated from the noise of this record.
 
-        Each effect gets its most likely shape, not just the nearest of the grid: otherwise its remainder could be
-        taken for a second effect. The threshold is simulated from the noise of this record. It uses fewer data
-        sets than for runs, because each is scored with every kind of slow noise.
+        A find gets its likeliest shape, as its remainder could be taken for another effect. Data sets are fewer
+        than for runs, because each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
@@ -245,22 +222,17 @@ class RecordWork:
     # --- estimates ------------------------------------------------------------------------------------
 
     def fitted(self, part: int, courses: Sequence[Variant], noise: Noise) -> tuple[Floats, Floats, float]:
-        """Return the least-squares estimates of trend and courses in the component `part`, for a known noise.
-
-        Three values are returned: the p estimates, in the order of `design`; their covariance (p, p); and the
-        chi-square of the residuals.
-        """
+        """Return estimates (p,), their covariance and chi-square of `design` in a component, for a known noise."""
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
 
     def sizes(
         self, courses: Sequence[Variant], number: int = 0, forms: Forms | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the size of the course `number` and its covariance, in plausible sizes.
+        """Return the size of the course `number` and its covariance, in plausible sizes, beside all `courses`.
 
-        Both have an entry for each channel, or one entry if the size is common: channels share the noise of the
-        mean. All `courses` are in the model. The course keeps its shape; with `forms`, its possible forms, the
-        size is an average over these, weighted by their likelihood.
+        Both are by channel, or have one entry for a common size. With `forms`, they are averages over possible
+        forms.
         """
         course = courses[number]
         log, size, variance = (
@@ -276,11 +248,7 @@ class RecordWork:
         return self.helmert.T @ mean, self.helmert.T @ covariance @ self.helmert
 
     def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
-        """Return the course `number` with its mean shape, the u of the shape (SI), its size, and u of the size.
-
-        The sizes are averages over `forms`. The u of the shape is None if the course has no parameter of its shape
-        with a unit. The other courses keep their shapes.
-        """
+        """Return the course `number` in its mean shape, u of this shape (SI), its size, and u of the size."""
         forms, course = self.forms(courses, number), courses[number]
         size, covariance = self.sizes(courses, number, forms)
         if forms.parameter is None:
@@ -291,10 +259,7 @@ class RecordWork:
         return course._replace(shape=((forms.parameter, value),)), u, size, u_of(covariance)
 
     def forms(self, courses: Sequence[Variant], number: int) -> Forms:
-        """Return the forms that the course `number` may have, with the likelihood of each.
-
-        All other `courses` are in the model and keep their shapes.
-        """
+        """Return the forms of the course `number` with their likelihoods; the others keep their shapes."""
         course, parameter = courses[number], _parameter(courses[number])
         family = self.shapes_of(course.family)
         if parameter is None:
@@ -311,10 +276,7 @@ class RecordWork:
         return Forms(*self._in_part(every, 0), log, size, variance, parameter, values, of_values)
 
     def close_shapes(self, courses: Sequence[Variant], number: int) -> list[Variant]:
-        """Return the course `number` in its likely shapes, the most likely first; the other `courses` are known.
-
-        A jump, or a course whose shape has no continuous parameter, is returned unchanged.
-        """
+        """Return the course `number` in its likely shapes, the best first; a jump or fixed shape as it is."""
         course = courses[number]
         if course.family == MOVE or _parameter(course) is None:
             return [course]
@@ -322,10 +284,7 @@ class RecordWork:
         return [shapes[k] for k in np.argsort(-self._scored(courses, number, shapes)[0])]
 
     def _along(self, courses: Sequence[Variant], number: int) -> list[Variant]:
-        """Return the course `number` in its likely shapes, ordered by their parameter.
-
-        The values are between those of the grid, so close together that the likelihood between them is known.
-        """
+        """Return the course `number` in its likely shapes, by parameter, close enough to interpolate."""
         course = courses[number]
         ((name, _),) = course.shape
         family = self.shapes_of(course.family)
@@ -345,10 +304,7 @@ class RecordWork:
     def _scored(
         self, courses: Sequence[Variant], number: int, forms: Sequence[Variant]
     ) -> tuple[Floats, Floats, Floats]:
-        """Return ln of the likelihood (h,), the size and its variance (parts, h) of h `forms` of a course.
-
-        Each form in turn replaces the course `number`. Size and variance have a row for each component.
-        """
+        """Return ln of the likelihood (h,), size and variance (parts, h) of `forms` in place of a course."""
         others, each = [*courses[:number], *courses[number + 1 :]], []
         for k in self.parts if self.of_channels(courses[number]) else range(1):
             columns, starts = self._in_part(forms, k)
@@ -360,10 +316,7 @@ class RecordWork:
     # --- results --------------------------------------------------------------------------------------
 
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
-        """Return `finds` as named effects with values; `limit` is the threshold of the search.
-
-        A channel whose size is no more than noise is left out, unless all are.
-        """
+        """Return `finds` as named effects with values; channels of no more than noise are left out."""
         courses = [f.variant for f in finds]
         noises, shown, u_of_shapes = self.noises(courses), [], []
         sizes, known = [np.zeros(0)], [np.zeros(0)]
@@ -385,10 +338,7 @@ class RecordWork:
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def _by_other_shapes(self, courses: Sequence[Variant], number: int, noises: Sequence[Noise]) -> Floats:
-        """Return the variance that the shapes of the other courses add to the size of the course `number`.
-
-        It has an entry for each channel, or one if the size is common, and is in squares of the plausible size.
-        """
+        """Return the variance, by channel or in common, that the shapes of other courses add to a size."""
         course = courses[number]
         own, first = self.of_channels(course), self.trials.trend.shape[1]
         variance = np.zeros(len(self.parts) if own else 1)
@@ -402,10 +352,7 @@ class RecordWork:
         return np.asarray(self.helmert.T**2 @ variance) if own else variance
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
-        """Yield zero, drift and residuals of each channel, with the courses in the model.
-
-        `noises` has the noise of each component. u includes the uncertainty of the shapes of the courses.
-        """
+        """Yield zero, drift and residuals of each channel; u includes the uncertainty of the shapes."""
         estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
         turn = self.record.zero_and_drift
         count = turn.shape[1]
@@ -440,7 +387,6 @@ def _parameter(course: Variant) -> str | None:
 
 
 def _with_u(effect: NamedEffect, u: float | None) -> NamedEffect:
-    """Return the effect with the u of its shape parameter, SI."""
     if u is None:
         return effect
     in_si = {p.name: p.si_per_unit for p in CATALOGUE[effect.name].parameters if p.is_shape}

@@ -32,11 +32,7 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit in which the size of a term is stated, and its plausible size.
-
-    `text` is the unit, and `si` its value in SI. `plausible` is the plausible size of a term in SI;
-    `plausible_per_k`, the plausible size of a term in proportion to temperature, SI per kelvin.
-    """
+    """The unit of the size of a term, its value in SI, and the plausible size in SI, and in SI per kelvin."""
 
     text: str
     si: float
@@ -56,13 +52,11 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 @dataclass(frozen=True)
 class TimeCourse:
-    """A course over the readings of a run that an unnamed effect may follow; its values are of order 1.
+    """A course over the readings that an unnamed effect may follow, of order 1; `where` says where it acts.
 
-    `expressions` are its formulas, each with its own size. `constants` are parameters of these formulas that have
-    a single value. `of_temperature` means that the course is in kelvin; `of_angle`, that it is a function of the
-    head angle; `long`, that it is also tried in the scale factor and in the voltage, not only in bias and angles;
-    `narrow`, that it acts at one angle, in one mounting, as a step, or as a fast wave, and is therefore not tried
-    in the angles of the stand. `where` says in words at which angle, time, pass or mounting it acts.
+    `expressions` have own sizes, and `constants` single values. `of_temperature`: in kelvin; `of_angle`: of the
+    head angle; `long`: also tried in scale factor and voltage; `narrow`: at one angle, mounting or step, or a
+    fast wave, and so not tried in angles of the stand.
     """
 
     words: str
@@ -77,12 +71,10 @@ class TimeCourse:
 
 @dataclass(frozen=True)
 class DictionaryTerm:
-    """A term of the dictionary: formulas that may be added at one stage of the model.
+    """A term of the dictionary: formulas, each with a size in `unit`, added at one stage of the model.
 
-    `family` describes the term in words. `expressions` are its formulas, each with its own size in `unit`. At the
-    stage of the stand, the term is added to the angle named `adds_to`. `course` is the course over the readings
-    from which the term is made, or None for a power or product of force or voltage. `of_force` means that the
-    course changes the scale factor, not the bias.
+    `family` has the words. At the stand, the angle is `adds_to`. `course` is None for powers and products;
+    `of_force` changes the scale factor, not the bias.
     """
 
     family: str
@@ -100,10 +92,7 @@ class DictionaryTerm:
         return self.course.where if self.course is not None else ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
-        """Return the term as an effect with this name.
-
-        If `per_channel`, each channel has its own sizes; otherwise the sizes are common to all channels.
-        """
+        """Return the term as an effect with this name, whose sizes are `per_channel` or common to all."""
         sizes = SIZE_NAMES[: len(self.expressions)]
         unit = self.unit
         return FormulaEffect(
@@ -134,10 +123,9 @@ TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None,
 
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
-    """Yield each term for single channels and for all channels, with the columns of its sizes.
+    """Yield each term for single channels and for all channels, with columns (N,) of plausible sizes.
 
-    A column (N,) is the change of the rows by a plausible size. Terms of the stand or the head are yielded
-    for all channels only; terms that change no row are left out.
+    Terms of the stand or the head are for all channels; terms that change no row are left out.
     """
     terms = list(_terms(linear))
     for term, sizes in zip(terms, _columns(linear, terms), strict=True):
@@ -155,10 +143,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
 
 
 class SizeColumns(NamedTuple):
-    """The changes of the N rows by a plausible size of a term: by channel, (3, N) or (1, N), and in all, (N,).
-
-    `shown` says for each channel whether any row changes.
-    """
+    """Changes of the N rows by a plausible size, by channel and in all; `shown`: which channels change a row."""
 
     of_channels: Floats
     of_all: Floats
@@ -169,7 +154,6 @@ WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
 def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[SizeColumns]]:
-    """Return the columns of each size of each term."""
     columns: list[list[SizeColumns]] = [[] for _ in terms]
     of_courses: dict[TimeCourse, list[Floats]] = {}
     values_of = _values_of(linear)
@@ -320,10 +304,10 @@ def shapes(effect: str, parameter: str) -> tuple[float, ...]:
     return next(p.grid for p in CATALOGUE[effect].parameters if p.name == parameter)
 
 
-def _visits(conditions: Conditions) -> int:
-    angled = np.flatnonzero(np.isfinite(conditions.angle_rad))
-    mount = conditions.mount[angled]
-    return 1 + int(np.count_nonzero(np.diff(mount)))
+def _visits(conditions: Conditions) -> range:
+    """Return the numbers of the mountings, from 1; none if there is only one."""
+    changes = np.count_nonzero(np.diff(conditions.mount[np.isfinite(conditions.angle_rad)]))
+    return range(1, int(changes) + 2) if changes else range(0)
 
 
 def _in_visit(number: int) -> str:
@@ -333,29 +317,28 @@ def _in_visit(number: int) -> str:
 def _of_angle(conditions: Conditions) -> Iterator[TimeCourse]:
     angle = conditions.angle_rad[np.isfinite(conditions.angle_rad)]
     distinct = len(np.unique(np.round(np.degrees(angle) % 360.0, 1)))
-    visits = range(1, _visits(conditions) + 1) if _visits(conditions) > 1 else range(0)
+    visits = _visits(conditions)
     for k in (0.5, *range(1, min(distinct // 2, 6) + 1)):
         inside = "angle" if k == 1 else f"{k:g} * angle"
         wave = (f"cos({inside})", f"sin({inside})")
-        yield TimeCourse(f"a wave, {k:g} per turn", wave, of_angle=True)
-        for visit in visits:
-            yield TimeCourse(
-                f"a wave, {k:g} per turn, of one mounting",
-                tuple(f"{w} * {_in_visit(visit)}" for w in wave),
-                narrow=True,
-                where=f"mounting {visit}",
-            )
+        yield from _by_mounting(TimeCourse(f"a wave, {k:g} per turn", wave, of_angle=True), visits)
     yield TimeCourse("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
     for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
         at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
-        yield TimeCourse("one angle of the head", (at,), narrow=True, where=f"{degrees:g}°")
-        for visit in visits:
-            yield TimeCourse(
-                "one angle of the head, of one mounting",
-                (f"{at} * {_in_visit(visit)}",),
-                narrow=True,
-                where=f"{degrees:g}°, mounting {visit}",
-            )
+        course = TimeCourse("one angle of the head", (at,), narrow=True, where=f"{degrees:g}°")
+        yield from _by_mounting(course, visits)
+
+
+def _by_mounting(course: TimeCourse, visits: range) -> Iterator[TimeCourse]:
+    """Yield a course of all mountings, then the same course of each one."""
+    yield course
+    for visit in visits:
+        yield TimeCourse(
+            f"{course.words}, of one mounting",
+            tuple(f"{text} * {_in_visit(visit)}" for text in course.expressions),
+            narrow=True,
+            where=", ".join(filter(None, (course.where, f"mounting {visit}"))),
+        )
 
 
 def _of_turns(conditions: Conditions) -> Iterator[TimeCourse]:
@@ -389,10 +372,11 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
         yield TimeCourse("what creeps with time", ("log(1 + time / tau)",), tau, long=True)
     for k in range(1, FASTEST + 1):
         yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
-    for k in _frequencies(time[np.isfinite(conditions.angle_rad)]):
+    angled = np.unique(time[np.isfinite(conditions.angle_rad)])
+    for k in _frequencies(angled):
         wave = (f"cos({k:g} * pi * time / T)", f"sin({k:g} * pi * time / T)")
         yield TimeCourse("a wave in time", wave, span, narrow=True)
-    for at in _between(time[np.isfinite(conditions.angle_rad)]):
+    for at in (angled[1:] + angled[:-1]) / 2:
         when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
         yield TimeCourse(
             "a step in time",
@@ -404,32 +388,23 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _frequencies(time_s: Floats) -> range:
-    """Return the possible numbers of half waves in a run; readings sample each wave at least twice per
-    period.
-    """
-    steps = np.diff(np.unique(time_s))
-    if not len(steps):
+    """Return the numbers of half waves in a run that times, ascending, sample at least twice per period."""
+    if len(time_s) < 2:
         return range(0)
-    fastest = int(np.ptp(time_s) / float(np.median(steps)))
+    fastest = int(np.ptp(time_s) / float(np.median(np.diff(time_s))))
     return range(FASTEST + 1, min(fastest, MOST_WAVES) + 1)
-
-
-def _between(time_s: Floats) -> Floats:
-    """Return the times midway between consecutive readings."""
-    ordered = np.unique(time_s)
-    return (ordered[1:] + ordered[:-1]) / 2
 
 
 def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
     angled = np.isfinite(conditions.angle_rad)
     passes = sorted(set(conditions.pass_number[angled].tolist()))
-    count = _visits(conditions)
-    for visit in range(1, count + 1) if count > 1 else range(0):
+    visits = _visits(conditions)
+    for visit in visits:
         yield TimeCourse("one mounting", (_in_visit(visit),), long=True, where=f"mounting {visit}")
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
         yield TimeCourse("one pass", (alone,), long=True, where=f"pass {number}")
-        for visit in range(1, count + 1) if count > 1 else range(0):
+        for visit in visits:
             yield TimeCourse(
                 "one pass of one mounting",
                 (f"{alone} * {_in_visit(visit)}",),

@@ -1,4 +1,4 @@
-"""The result of a diagnosis, and the settings that are registered before the readings are scored."""
+"""The result of a diagnosis, the description of unnamed effects, and the settings registered before scoring."""
 
 from __future__ import annotations
 
@@ -6,31 +6,27 @@ import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Literal
+from itertools import count
+from typing import Final, Literal
 
 import numpy as np
+from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.languages import message
-from bench.diagnosis import (
-    candidates,
-    evidence,
-    gap,
-    naming,
-    noise_grid,
-)
+from bench.config.model_file import UNNAMED
+from bench.diagnosis import candidates, evidence, gap, naming, noise_grid
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, LISTED_IN_SENTENCE, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming
-from bench.diagnosis.noise_kinds import NoiseFinding, NoiseKind
-from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior
-from bench.diagnosis.residual_model import FreeForm
-from bench.diagnosis.visibility import Smallest
-from bench.diagnosis.where import FarReading, ResidualPattern
+from bench.diagnosis.noise_grid import Repeats
+from bench.diagnosis.noise_kinds import LocalScatter, NoiseFinding, NoiseKind, larger_scatter, residuals
+from bench.diagnosis.posterior import KnownTogether, NoiseSize, Posterior, applied_of, posterior
+from bench.diagnosis.visibility import FarReading, ResidualPattern, Smallest
 from bench.model.conditions import REFERENCE_C, REMOUNT_S, SETTING_S
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
 from bench.model.effects.formula import FormulaEffect, names_in
@@ -40,10 +36,8 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    They are the priors, the threshold, the limits of a tie, the sets of readings to hold out, and the least
-    decrease of the gap. `sha256` is a hash of them all, of the catalogue, and of the weights of prior sizes.
-    The sets `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is not used and
-    always None.
+    `sha256` is a hash of all, of the catalogue, and of the weights of prior sizes. The sets `held_out_else` are
+    held out if the sets `held_out` cannot be. `pair_margin` is always None.
     """
 
     sha256: str
@@ -70,10 +64,7 @@ class Registration:
 
 
 def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
-    """Return the settings of the diagnosis of these readings, with their hash.
-
-    `limit` is the threshold of the search.
-    """
+    """Return the settings of the diagnosis of these readings, with their hash; `limit` is the threshold."""
     settled = Registration(
         sha256="",
         unnamed=candidates.UNNAMED,
@@ -126,9 +117,7 @@ UNNAMED_WORDS: Mapping[str, str] = {
 class EffectValue:
     """An estimated parameter of an effect; `value` and `u` are in `unit`, the unit of the catalogue.
 
-    `u` is None for a shape parameter of a run, which is chosen from a grid; records estimate theirs. `channel`
-    is empty if the parameter is common to all channels; `installations` is empty if the effect has only one set
-    of values.
+    `u` is None for a shape from a grid. `channel` and `installations` are empty if the value is for all.
     """
 
     parameter: str
@@ -143,14 +132,11 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
-    `cannot_tell_from` are its ties, that is, the names of effects that explain the readings as well; `odds` are
-    the posterior probabilities of all names. `plainer_than` are effects of the same subsystem that include this
-    one as a special case. `rho` is the size of the parameters in units of their uncertainty
-    (`Posterior.significance`), None if no parameter was estimated. `p` is the p-value for this effect alone;
-    `p_all_looks`, the p-value corrected for all effects tried. `applied` has an entry for each set of mountings
-    with its own values; it is empty if the effect is not in the catalogue. `together` are sums or differences of
-    values that are known far better than the values themselves. `aliases` are other numbers of periods per turn
-    of the head that are indistinguishable at the angles measured.
+    `cannot_tell_from` are its ties, `odds` the posterior probabilities of all names, `plainer_than` effects of
+    the subsystem that include it. `rho` is the size of the parameters in u (`Posterior.significance`), if any.
+    `p` is for this effect alone, `p_all_looks` for all tried. `applied` has an entry for each set of mountings,
+    none outside the catalogue; `together`, sums or differences that are known far better than the values.
+    `aliases` are other periods per turn, indistinguishable at these angles.
     """
 
     name: str
@@ -191,10 +177,10 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Findings:
-    """What every diagnosis finds, of readings in known orientations, of free positions, or of a record.
+    """What every diagnosis finds, of oriented readings, of free positions, or of a record.
 
-    `of_copy` is the verdict on the readings, or on a corrected copy of readings with mistakes. `where` are the
-    patterns of the residuals; `gap`, the prediction of held-out readings without and with the effects.
+    `of_copy` is the verdict on a copy without mistakes; `where` are patterns of residuals; `gap` is on held-out
+    readings.
     """
 
     of_copy: Verdict
@@ -223,21 +209,16 @@ class Findings:
 class Diagnosis(Findings):
     """The complete result of the diagnosis of one set of readings.
 
-    `far` are readings far from the model. `p_left` is the p-value of the lack-of-fit test, which compares the
-    noise about the model with all effects found with the noise of repeats.
+    `far` are readings far from the model. `p_left` compares the noise about the model with all finds and that
+    of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show (empty:
+    all); `absent`, to the reason why this bench cannot have them. `unseen_per_turn` are periods per turn of
+    head errors that do not change the readings. `detectable` is the size of each effect that half of all runs
+    find, in plausible sizes; `smallest`, that of several parameters.
 
-    `hidden` maps each effect that these readings could not show, at least in part, to the parts that they do not
-    show; an empty tuple means the whole effect. `absent` maps each effect that the bench cannot have to the
-    reason. `unseen_per_turn` are the numbers of periods per turn of head errors that do not change the readings
-    at the angles measured. `detectable` maps each effect to the size that is found in half of all runs, as a
-    multiple of the plausible size; `smallest` has such sizes for effects with several parameters.
-
-    `in_part` are parts of the effects that may be present with other shapes; the u of the coefficients includes
-    them. `left_open` are those of these parts that the readings leave uncertain, for a model file. `findings`
-    state where noise is larger than stated; `noise_kinds`, where it departs from normal noise of one size. `form`
-    describes finds without a name. `whitened` are the whitened candidates, and `data` the scalar products, with
-    which the effects were found. Plots and reports use them, and also `linear`, `candidates`, `naming`, `fitted`
-    and `noise`.
+    `in_part` are possible parts of the finds with other shapes, which the u of the coefficients includes;
+    `left_open`, those of them for a model file. `findings` state where noise is larger than stated;
+    `noise_kinds`, where it departs from normal noise of one size. `form` describes finds without a name. Plots
+    and reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
     """
 
     far: tuple[FarReading, ...]
@@ -282,30 +263,21 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield a sentence on the temperature at which the coefficients hold, if any effect depends on
-    temperature.
-
-    `found` are the effects in the model.
-    """
-    names = [effect.name for effect in found if _of_temperature(effect)]
+    """Yield a sentence on the temperature at which coefficients hold, if an effect `found` depends on it."""
+    names = [
+        one.name
+        for one in found
+        if one.name in OF_TEMPERATURE
+        or (isinstance(one, FormulaEffect) and "temperature" in names_in(one.expression))
+    ]
     if names:
         yield message(
             f"the coefficients apply at {REFERENCE_C:g} °C, the reference temperature of {' and '.join(names)}"
         )
 
 
-def _of_temperature(effect: Effect) -> bool:
-    return effect.name in OF_TEMPERATURE or (
-        isinstance(effect, FormulaEffect) and "temperature" in names_in(effect.expression)
-    )
-
-
 def assumed(linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched.
-
-    The reasons are effects that failed to load, an orientation that contradicts the bench file, readings without
-    times or temperatures, and signals that are not in volts.
-    """
+    """Yield a sentence for each assumption that the diagnosis made, and for each effect not searched."""
     readings = linear.readings
     yield from (message(f"not searched: {trouble}") for trouble in CATALOGUE.troubles)
     if linear.orientation is not None and linear.orientation.contradicts:
@@ -326,3 +298,134 @@ def assumed(linear: LinearSystem) -> Iterator[str]:
         yield message(
             f"signals in {readings.unit} are not voltages: effects stated in volts are not searched for ({names})"
         )
+
+
+# --- what the catalogue does not explain -------------------------------------------------------------
+
+UNNAMED_FORM: Final = "unnamed_form"
+"""Entry in an effect's `cannot_tell_from` if an unnamed form describes the readings equally well."""
+
+
+@dataclass(frozen=True)
+class UnexplainedScatter:
+    """Scatter about the model beyond that of repeats, 1 sigma, unit of the signal, with `u` and p-value.
+
+    `upper` is its 95 % limit; it and `u` are infinite if all readings are repeats.
+    """
+
+    value: float
+    u: float
+    upper: float
+    p: float
+
+    @classmethod
+    def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
+        """Return the noise about the model with all effects, in excess of the noise of repeats (F test)."""
+        # per setting, two directions of the signals are perpendicular to du/dphi
+        of_repeats = 2 * repeats.freedom
+        beyond = noise.freedom - of_repeats
+        all2, repeats2 = noise.reading**2, repeats.sigma**2
+        value = float(np.sqrt(max(all2 - repeats2, 0.0)))
+        if beyond <= 0:
+            return cls(value, np.inf, np.inf, 1.0)
+        lack = max(noise.freedom * all2 - of_repeats * repeats2, 0.0) / beyond / repeats2
+        # a ratio below 1 is chance, and must not lower the limit
+        largest = max(lack, 1.0) / float(special.fdtri(beyond, of_repeats, OFTEN))
+        upper = float(np.sqrt(max(largest - 1.0, 0.0) * repeats2 * beyond / noise.freedom))
+        # the excess is a part of the difference of two independent mean squares
+        part = beyond / noise.freedom
+        variance = 2 * (part * repeats2) ** 2 * (lack**2 / beyond + 1 / of_repeats)
+        u = float(np.sqrt(variance)) / (2 * value) if value > 0.0 else float(np.sqrt(np.sqrt(variance)))
+        return cls(value, u, max(upper, value), float(special.fdtrc(beyond, of_repeats, lack)))
+
+    @property
+    def there(self) -> bool:
+        """Whether the scatter is significant."""
+        return self.p < OFTEN
+
+
+@dataclass(frozen=True)
+class FormTerm:
+    """A term of the dictionary that was found, with its sizes and their u.
+
+    `could_also_be` describe the readings as well; `rho` is its size in noise; `p` does not count the terms
+    tried.
+    """
+
+    applied: AppliedEffect
+    family: str
+    could_also_be: tuple[str, ...]
+    rho: float
+    p: float
+
+    @property
+    def effect(self) -> FormulaEffect:
+        """The term as an effect that is defined by a formula."""
+        assert isinstance(self.applied.effect, FormulaEffect)  # noqa: S101 - made so
+        return self.applied.effect
+
+
+@dataclass(frozen=True)
+class FreeForm:
+    """A description, by terms of the dictionary, of what the catalogue does not explain.
+
+    `gap` is without and with the terms. `dark` exceeds the noise of repeats; `scatter` is its largest place, if
+    any. `instead_of` are named effects of the same readings: either they or the terms are present.
+    """
+
+    terms: tuple[FormTerm, ...]
+    gap: Gap
+    dark: UnexplainedScatter
+    scatter: LocalScatter | None
+    unit: str
+    instead_of: tuple[str, ...] = ()
+
+    @property
+    def predicts(self) -> bool:
+        """Whether the terms predict held-out readings well enough to belong in a model file."""
+        return bool(self.terms) and self.gap.closed is not None and self.gap.closed >= MOSTLY
+
+    @property
+    def applied(self) -> tuple[AppliedEffect, ...]:
+        """The terms with values, to be added to the model, if they predict and no name explains the same."""
+        return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
+
+
+def describe(
+    linear: LinearSystem,
+    candidates: Candidates,
+    naming: Naming,
+    noise: NoiseSize,
+    gap: Gap,
+    repeats: Repeats,
+    instead_of: tuple[str, ...] = (),
+) -> FreeForm:
+    """Return the description of what the catalogue does not explain, from the terms among the finds.
+
+    `noise` and `gap` are those of the model with all finds; `repeats` is the noise of repeats.
+    """
+    columns = candidates.columns[:, list(naming.columns)]
+    scatter = larger_scatter(linear, residuals(linear, columns, noise))
+    terms = tuple(_terms(linear, candidates, naming, posterior(linear, columns, noise)))
+    dark = UnexplainedScatter.of(noise, repeats)
+    return FreeForm(terms, gap, dark, scatter, linear.readings.unit, instead_of)
+
+
+def _terms(
+    linear: LinearSystem, candidates: Candidates, naming: Naming, fitted: Posterior
+) -> Iterator[FormTerm]:
+    taken = {applied.effect.name for applied in linear.model.effects}
+    names = (name for name in map(f"{UNNAMED}{{}}".format, count(1)) if name not in taken)
+    u = np.sqrt(np.diag(fitted.amplitude_covariance))
+    for one, mine in naming.parts():
+        variant = one.variant
+        if variant.term is None:
+            continue
+        per_channel = candidates.kinds[variant.columns[0]].channel is not None
+        effect = variant.term.effect(next(names), per_channel=per_channel)
+        shape = tuple((p.name, p.default) for p in effect.parameters if p.is_shape)
+        (applied,) = applied_of(
+            candidates, variant._replace(shape=shape), fitted.amplitudes[mine], u[mine], effect=effect
+        )
+        rho, p = fitted.significance(mine)
+        yield FormTerm(applied, variant.family, one.ties[:LISTED_IN_SENTENCE], rho, p)

@@ -16,14 +16,7 @@ from bench.base.arrays import Floats, Mask
 from bench.base.computing import tracked
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError
-from bench.diagnosis.candidates import (
-    SINGLE,
-    Candidates,
-    Column,
-    make_candidates,
-    with_terms,
-    without_copies,
-)
+from bench.diagnosis.candidates import SINGLE, Candidates, Column, make_candidates, with_terms, without_copies
 from bench.diagnosis.evidence import FALSE_ALARMS, Data, Search, Threshold, ThresholdCache, Whitened
 from bench.diagnosis.levels import BY_CHANCE, FEW, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
@@ -33,13 +26,13 @@ from bench.diagnosis.noise_grid import (
     SAME_SIZE,
     NoiseGrid,
     Repeats,
-    grid_with_rounding,
+    is_rounded,
+    make_noise_grid,
     noise_of_repeats,
     with_rounding,
 )
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
-from bench.diagnosis.open_parts import beside, with_other_shapes
-from bench.diagnosis.posterior import applied_of, fit_found, noise_size, posterior
+from bench.diagnosis.posterior import applied_of, beside, fit_found, noise_size, posterior, with_other_shapes
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings
@@ -47,13 +40,10 @@ from bench.readings.table import Readings
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings prepared for the search: linear system, whitened candidates, and threshold.
+    """Readings prepared for the search: system, noise of repeats, whitened candidates, products, threshold.
 
-    `repeats` is the noise from repeats; `data`, the scalar products of the residuals with the columns of the
-    candidates; `limit`, the threshold. `setting_rad` is the setting error that the bench file states. `bend` (N,)
-    is the nonlinear part of the effects found, already subtracted from the response. `log_odds` is ln of the
-    prior odds of the noise hypotheses accepted, minus the cost of their parameters. `chosen` maps the kind of
-    each of these hypotheses to its words.
+    `setting_rad` is that of the bench file; `bend` (N,), the nonlinear part of the finds, is subtracted
+    already. `log_odds` is ln of the prior odds of the noise, less parameters; `chosen` has its words by kind.
     """
 
     linear: LinearSystem
@@ -72,10 +62,9 @@ class Prepared:
         return self.whitened.candidates
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise, up to a constant, with as many effects as `naming` has.
+        """Return ln of the evidence of this noise with the finds of `naming`, up to a constant.
 
-        The evidence of each effect is averaged over all families, so that the choice of noise does not depend on
-        the names.
+        That of each find is averaged over all families, so that the noise does not depend on the names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -90,11 +79,10 @@ Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
-    """Return the readings with the noise hypothesis of the largest evidence, and the effects found with it.
+    """Return the readings with the noise hypothesis of the largest evidence, and the finds with it.
 
-    `again` searches a system with another noise. If no hypothesis is better, `prepared` and `naming` are returned
-    unchanged. They are also returned if repeats share a rounding error, because repeats then do not show the
-    noise.
+    `again` searches with another noise. Nothing changes if none is better, or if repeats share a rounding
+    error, because they then do not show the noise.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -132,10 +120,9 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear` with the kind of noise of `prepared`, a system of the same readings.
+    """Return `linear`, of perhaps another model, with the kind of noise of `prepared`, of the same readings.
 
-    The two systems may differ in their models. With several blocks, whose rows are in another order, `linear`
-    gets only the noise by channel and by run.
+    With several blocks, whose rows are in another order, it gets only the noise by channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -152,10 +139,9 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What every search needs besides the readings.
+    """What every search needs besides the readings; effects in `absent` are not searched.
 
-    `stand_u` has the standard uncertainties, rad, of the stand angles (`STAND_ANGLES`) and of the "setting_error".
-    `resolution` is the step of the last digit of the signals. Effects named in `absent` are not searched.
+    `stand_u` has the u of `STAND_ANGLES` and "setting_error", rad; `resolution` is the last digit.
     """
 
     model: ForwardModel
@@ -181,23 +167,21 @@ class SearchTask:
         return replace(repeats, sigma=min(repeats.sigma, most))
 
     def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
-        """Return the whitened candidates, and their scalar products with the residuals.
-
-        `sigma` is a first estimate of the noise of a reading.
-        """
+        """Return whitened candidates and products with the residuals; `sigma` is a first noise estimate."""
         whitened = Whitened.of(self.grid(linear, sigma), candidates)
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid of a system; `sigma` is a first estimate of the noise of a reading."""
-        return grid_with_rounding(linear, sigma, self.setting_rad, self.resolution)
+        """Return the noise grid for a first estimate `sigma`; rounding that repeats share makes it known."""
+        return replace(
+            make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
+        )
 
 
 def find_effects(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
-    """Return readings of one or several runs prepared for the search, and the effects found in them.
+    """Return readings of one or several runs prepared for the search, and the effects found.
 
-    The noise hypothesis is chosen by evidence (`choose_noise`). Raises `CalibrationError` if the readings do not
-    determine the coefficients.
+    Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     several = bool(readings.run.any())
 
@@ -236,11 +220,7 @@ def _prepared(
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Return the effects still found if the largest one in `naming` may have parts of other shapes.
-
-    If its true shape lies between two shapes of the catalogue's grid, it leaves residuals that other effects
-    would explain.
-    """
+    """Return the finds that remain if the largest may have parts of other shapes, as between two of a grid."""
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
         return naming
@@ -337,10 +317,10 @@ class _Run:
 
 
 def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return the readings with the finds of single runs among the candidates, and the finds in all and single runs.
+    """Return the readings with single-run finds among the candidates, and all finds.
 
-    Effects of a few single runs are searched first, as they could be mistaken for common effects. With them
-    in the model, common effects are searched, and then further effects of single runs.
+    Effects of a few single runs, which could pass for common ones, are searched first, then common effects,
+    then further ones of single runs.
     """
     linear, whitened, data, limit = prepared.linear, prepared.whitened, prepared.data, prepared.limit
     response = linear.response[:, None]
@@ -377,16 +357,12 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find stays: it is likely given all other finds, or `naming` no longer has
-    its form.
-    """
+    """Return whether a single-run find is likely given all others, or `naming` no longer has its form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
-    scores = Scored.beside(whitened, data, others).scores
-    return float(scores.variants[whitened.candidates.variants.index(one.variant), 0]) > -float(
-        np.log(BY_CHANCE)
-    )
+    evidence = Scored.beside(whitened, data, others).scores.variants[:, 0]
+    return bool(evidence[whitened.candidates.variants.index(one.variant)] > -np.log(BY_CHANCE))
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
@@ -399,11 +375,10 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds added, and these finds.
+    """Return the candidates with the single-run finds added, and these finds, beside `in_all` (N,).
 
-    `in_all` (N,) is the signal of the finds common to all runs. The threshold computed for the first run serves
-    for all runs, with a share of the probability of a false alarm for each. Coefficients are free in every run,
-    so that a different zero or scale factor is no find here.
+    The threshold of the first run serves for all. As coefficients are free in every run, a different zero is no
+    find.
     """
     found: list[FoundEffect] = []
     for run in runs:

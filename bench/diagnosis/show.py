@@ -39,12 +39,10 @@ class ModulusPoint:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A model fitted to readings, and the bench simulated with it at the same angles, times and temperatures.
+    """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `calibration` has the estimates. `test` compares the readings with a simulation without noise. `effects` are
-    the effects of the model with the values and u estimated here. `points` are the errors at the verification
-    points, which are independent of the fit. If `joined`, some effect shows at no other readings, and the fit
-    therefore includes the verification points. `repeat` computes `repeated`.
+    `test` compares readings with a simulation without noise; `effects` have the values estimated. `points` are
+    independent of the fit, unless it is `joined`, as an effect shows only there. `repeat` computes `repeated`.
     """
 
     model: ForwardModel
@@ -88,10 +86,7 @@ class CoefficientChange:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Simulations with the given model (`before`), and with the effects found added to it (`after`).
-
-    `after` is None if no effect was added.
-    """
+    """Simulations with the given model (`before`), and with the finds added (`after`; None without any)."""
 
     before: Simulation
     after: Simulation | None
@@ -120,12 +115,10 @@ def show(
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
-    `readings` are corrected for mistakes. `stand_u` is as in `diagnose`; `g_m_s2` is the local gravity. The added
-    effects were found in these readings, and are therefore estimated again without their earlier u. `in_part` are
-    possible parts of the effects with other shapes; these keep their prior u. `slow` (n, 3, k) are the signals of
-    slow noise that the diagnosis found, for one standard deviation of each of its k components. The u of the
-    coefficients includes it, unless the calibration finds a drift itself. Raises `CalibrationError` if the readings
-    do not determine the coefficients.
+    `stand_u` is as in `diagnose`; `g_m_s2` is local gravity. Effects found in these readings are estimated
+    again without their u; `in_part`, possible parts of other shapes, keep it. `slow` (n, 3, k) are signals of
+    one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration finds
+    a drift itself. Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2, slow)
@@ -138,20 +131,15 @@ def show(
 
 
 def label(applied: AppliedEffect) -> str:
-    """Return the name of an effect with the channels it acts in: "quadratic_nonlinearity[y]".
-
-    If it has no parameter for single channels, the name alone is returned.
-    """
+    """Return the name of an effect, with its channels if its values differ: "quadratic_nonlinearity[y]"."""
     of_channels = any(parameter.per_channel for parameter in applied.effect.parameters)
     return applied.effect.name + (f"[{''.join(applied.channels)}]" if of_channels else "")
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value of a model that the readings contradict at the level `HARDLY_EVER`.
+    """Yield a sentence for each value `stated` by a model that its new estimate contradicts.
 
-    `stated` are the effects of the model with their u; `estimated` are the same effects, estimated again with
-    these readings. The difference of the two values is compared with the root of the difference of their
-    variances.
+    The level is `HARDLY_EVER`; the u of the difference is the root of the difference of the variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:
@@ -245,7 +233,6 @@ def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
 
 
 def _u_of(index: int, problem: Problem, fit: gls.Fit) -> dict[str, Floats]:
-    """Return standard uncertainties of the parameters of one effect, SI."""
     u: dict[str, Floats] = {}
     sizes = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
     for unknown, size in zip(problem.effects, sizes, strict=True):
@@ -277,9 +264,7 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
 
 
 def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[ModulusPoint, ...]:
-    """Return |a| - 1 at the verification points, computed with the effects; u includes the u of all
-    estimates.
-    """
+    """Return |a| - 1 at the verification points with the effects; u includes that of all estimates."""
     chosen = readings.installation == VERIFICATION
     rows = readings.select(chosen)
     if not len(rows):

@@ -20,10 +20,9 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Chance, Separation
 from bench.diagnosis.pipeline import FullDiagnosis, MistakesAlone, Rival
-from bench.diagnosis.residual_model import UNNAMED_FORM
-from bench.diagnosis.result import Findings, Registration, Verdict
+from bench.diagnosis.result import UNNAMED_FORM, Findings, Registration, Verdict
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, Simulation
-from bench.diagnosis.where import FarReading, ResidualPattern
+from bench.diagnosis.visibility import FarReading, ResidualPattern
 from bench.model import CATALOGUE
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis_parts import (

@@ -27,7 +27,7 @@ from bench.diagnosis import Diagnosis
 from bench.diagnosis.gap import UNDETERMINED, Gap
 from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.show import SEED, CoefficientChange, ModelComparison, ModulusPoint
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.visibility import ResidualPattern
 from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
 from bench.results import plots

@@ -16,8 +16,7 @@ from bench.diagnosis.naming import FamilyOdds
 from bench.diagnosis.noise_kinds import LocalScatter, NoiseKind
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import KnownTogether
-from bench.diagnosis.residual_model import FormTerm, FreeForm
-from bench.diagnosis.result import Verdict
+from bench.diagnosis.result import FormTerm, FreeForm, Verdict
 from bench.results.diagnosis_words import Files
 from bench.results.parts import BenchPart, ChannelsPart, Corrections
 

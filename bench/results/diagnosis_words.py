@@ -18,10 +18,18 @@ from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
-from bench.diagnosis.residual_model import FormTerm, FreeForm, UnexplainedScatter
-from bench.diagnosis.result import UNNAMED_WORDS, Diagnosis, EffectValue, Findings, NamedEffect
+from bench.diagnosis.result import (
+    UNNAMED_WORDS,
+    Diagnosis,
+    EffectValue,
+    Findings,
+    FormTerm,
+    FreeForm,
+    NamedEffect,
+    UnexplainedScatter,
+)
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
-from bench.diagnosis.where import ResidualPattern
+from bench.diagnosis.visibility import ResidualPattern
 from bench.model.effects import CATALOGUE
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from docs.generators.markdown import code, table
 NAMED: Final = (
     "candidates.KIND_PRIOR", "candidates.RARE", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS",
     "evidence.KNOWN_SIZE", "evidence.NULLS", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD",
-    "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "open_parts.PART",
+    "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "posterior.PART",
 )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from bench.diagnosis import diagnose
 from bench.diagnosis.levels import BY_CHANCE, FAR
 from bench.diagnosis.linear import orientation_of
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.where import far_readings
+from bench.diagnosis.visibility import far_readings
 from bench.model.geometry import STAND_ANGLES, specific_force_on_platform
 from bench.results.diagnosis_words import verdict_in_words, warnings_in_words
 from bench.validation.paper_bench import SETTING_U_RAD, K

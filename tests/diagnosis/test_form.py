@@ -16,7 +16,7 @@ from bench.diagnosis.noise_kinds import larger_scatter
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.residual_dictionary import dictionary
-from bench.diagnosis.residual_model import UNNAMED_FORM, UnexplainedScatter
+from bench.diagnosis.result import UNNAMED_FORM, UnexplainedScatter
 from bench.model import Stage
 from bench.results.diagnosis_parts import form_part
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, K

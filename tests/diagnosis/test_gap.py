@@ -11,7 +11,7 @@ from bench.diagnosis.naming import FoundEffect, Naming
 from bench.diagnosis.noise_grid import noise_of_repeats
 from bench.diagnosis.pipeline import diagnose
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.where import find_places
+from bench.diagnosis.visibility import find_places
 from bench.results.diagnosis_parts import gap_part
 from bench.validation.paper_bench import SETTING_U_RAD
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up

@@ -12,7 +12,7 @@ from bench.diagnosis.candidates import NOTHING_KNOWN, KnownBench, make_candidate
 from bench.diagnosis.evidence import make_threshold
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.result import assumed
-from bench.diagnosis.where import looking_like
+from bench.diagnosis.visibility import looking_like
 from bench.model import CATALOGUE, AppliedEffect, Installation
 from bench.validation.paper_bench import STAND_U
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, paper_run, set_up

@@ -9,8 +9,15 @@ from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import confirm
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import FoundEffect, Naming
-from bench.diagnosis.open_parts import beside, left_open, with_other_shapes
-from bench.diagnosis.posterior import NoiseSize, applied_of, fit_found, posterior
+from bench.diagnosis.posterior import (
+    NoiseSize,
+    applied_of,
+    beside,
+    fit_found,
+    left_open,
+    posterior,
+    with_other_shapes,
+)
 from bench.diagnosis.search import SearchTask, find_effects
 from bench.model.effects.base import InPart
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, TRUTH

@@ -9,8 +9,15 @@ from scipy.linalg import null_space
 from scipy.stats import multivariate_normal
 
 from bench.diagnosis.naming import FoundEffect, Naming
-from bench.diagnosis.open_parts import beside, other_shapes, with_other_shapes
-from bench.diagnosis.posterior import NoiseSize, fit_found, posterior, whiten_rows
+from bench.diagnosis.posterior import (
+    NoiseSize,
+    beside,
+    fit_found,
+    other_shapes,
+    posterior,
+    whiten_rows,
+    with_other_shapes,
+)
 from bench.model import CATALOGUE
 from bench.validation.paper_bench import TRUTH
 from tests.support.diagnosis_bench import NOISE_V, STAND, paper_run, set_up

@@ -11,8 +11,7 @@ from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis import diagnose
 from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.naming import FoundEffect, Naming
-from bench.diagnosis.open_parts import starting_states
-from bench.diagnosis.posterior import NoiseSize, fit_found
+from bench.diagnosis.posterior import NoiseSize, fit_found, starting_states
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects.block import state
 from bench.validation.paper_bench import K

@@ -36,21 +36,16 @@ SHEET_U: Final = (0.10, 0.05, 0.5)
 
 
 def sheet_u(scale: Floats) -> Floats:
-    """Return the prior standard deviations of the coefficients about those of a data sheet, (4, 3).
-
-    Column i belongs to channel i: the three elements of row i of K, in the unit of the signal per g, then the
-    bias, in the unit of the signal. `scale` (3,) are the scale factors of the data sheet.
-    """
+    """Return prior u (4, 3) of the coefficients: row of K, then bias, for each channel of `scale` (3,)."""
     own, cross, bias = SHEET_U
     return np.asarray(np.vstack([np.where(np.eye(3) == 1, own, cross), np.full(3, bias)]) * scale)
 
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and others that explain them equally well (`equal`).
+    """The supposed mistake that explains the readings best, and others that explain them equally well.
 
-    `p` is an upper limit of its p-value: the number of suppositions tried divided by the odds of this one.
-    Chance gives odds of B or more with a probability of at most 1/B.
+    `p` is at most suppositions over odds: chance gives odds of B with a probability of at most 1/B.
     """
 
     supposition: Reinterpretation
@@ -60,11 +55,7 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossFit:
-    """A block fitted to readings as they were recorded.
-
-    `misfit` is the chi-square of the readings. `sheet` (3,) is the chi-square of each channel's coefficients
-    about the coefficients of the data sheet.
-    """
+    """A block fitted to readings, with the chi-squares of these (`misfit`) and about the `sheet`, by channel."""
 
     block: Block
     misfit: float
@@ -75,9 +66,8 @@ class GrossFit:
 class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
-    `nominal` (3,) are the scale factors of the data sheet with their signs, in the unit of the signal per g; None
-    if unknown. `stand_rad` is the standard deviation of the angle between block and vertical that the limits of
-    the bench permit, in rad; it is also the error of the specific force in g.
+    `nominal` (3,) is signed, unit of the signal per g, None if unknown. `stand_rad` is 1 sigma of the angle of
+    block and vertical within the limits of the bench, and of the force in g.
     """
 
     installations: Mapping[str, Installation]
@@ -85,13 +75,10 @@ class GrossSearch:
     stand_rad: float = 0.0
 
     def find(self, readings: Readings) -> GrossMistake | None:
-        """Return the most probable mistake; None if its odds are too small.
+        """Return the most probable mistake, if its odds exceed suppositions tried over `HARDLY_EVER`.
 
-        The odds must exceed the number of suppositions tried over `HARDLY_EVER`. Each supposition also
-        competes with the assumption that a reading, pass or mounting is useless. If the corrected readings
-        are still far off, there may be two mistakes that hide each other. The search is then repeated without
-        each mounting in turn, and that mistake is returned which, together with a second one, explains the
-        most.
+        Useless readings, passes and mountings compete. If the copy is still far off, two mistakes may hide each
+        other: of the finds without a mounting, the one that explains most with a second is returned.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -107,10 +94,10 @@ class GrossSearch:
         return min(better, key=lambda one: (len(one.equal), -after[one]), default=found)
 
     def find_at_verification(self, readings: Readings) -> GrossMistake | None:
-        """Return the wiring mistake at the verification points that best makes |a| = 1 g there; None if none does.
+        """Return the wiring mistake at verification points, of unknown orientation, that best makes |a| = 1 g.
 
-        The coefficients are those of the oriented readings, with the signs of the data sheet; without one, there is
-        no result. The orientation at the points counts as unknown.
+        The coefficients are those of the oriented readings; without a data sheet, which has the signs, it is
+        None.
         """
         points, table = OrientedRows.of(readings, verification=True), OrientedRows.of(readings)
         if len(points) < 2 or self.nominal is None:  # a single point may be wrong by itself
@@ -127,7 +114,6 @@ class GrossSearch:
         return GrossMistake(maps[best], equal, p_of(float(odds[best]), math.log(len(maps))))
 
     def _with_second(self, first: GrossMistake, readings: Readings, table: OrientedRows) -> float:
-        """Return ln of the evidence of a mistake together with the likeliest second mistake."""
         copy = OrientedRows.of(first.supposition.correct(readings, table))
         scores = self._log_evidence(copy, [nothing(copy), *suppositions(copy)], table, copy.every)
         return float(np.max(scores)) + first.supposition.log_jacobian
@@ -135,10 +121,9 @@ class GrossSearch:
     def _likeliest(
         self, table: OrientedRows, maps: Sequence[Reinterpretation], kept: Mask
     ) -> GrossMistake | None:
-        """Return the likeliest map, given only the rows in the mask `kept` (n,).
+        """Return the likeliest map of the rows in the mask `kept` (n,).
 
-        If the supposition that some rows are useless is likelier than any map, these rows are left out as well,
-        and the maps of other rows are compared again.
+        Rows that are likelier useless than of any map are left out, and the maps of others compared again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
@@ -162,11 +147,7 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the index of the likeliest supposition; `odds` are ln of their odds.
-
-        A supposition of another unit must bring the channels to the data sheet; otherwise its entry in `odds`
-        becomes minus infinity.
-        """
+        """Return the index of the best of the `odds` (ln), where another unit must bring channels to the sheet."""
         while True:
             best = int(np.argmax(odds))
             if not supposed[best].scales or not np.isfinite(odds[best]):
@@ -180,20 +161,15 @@ class GrossSearch:
     def p_of_copy(self, recorded: Readings, right: Readings, log_scaling: float, log_looks: float) -> float:
         """Return an upper limit of the p-value of a copy with corrected units, `right`, against `recorded`.
 
-        It is the number of suppositions tried (ln: `log_looks`) divided by the odds of the copy, at most 1.
-        The priors of the block are in the corrected unit. `log_scaling` is ln of the factor by which the
-        correction enlarges a volume of signals; this factor converts the probability density of the copy to
-        one of the recorded signals.
+        It is the number of suppositions (ln: `log_looks`) over the odds of the copy. `log_scaling` is ln of the
+        enlargement of a volume of signals, which converts a density of the copy to one of the recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]
         return p_of(odds[0] - odds[1] + log_scaling, log_looks)
 
     def fit(self, table: OrientedRows, rows: Mask) -> GrossFit:
-        """Return the block fitted to the rows in the mask (n,) of a table as recorded.
-
-        The errors have the smallest size that the search considers; the data sheet is the prior.
-        """
+        """Return the block fitted to rows as recorded; errors have the least size, the data sheet is the prior."""
         mean, u = self._prior(table)
         columns, signal = self._columns(table, nothing(table))[rows], table.signal[rows]
         unit = self._smallest_g * self._scale(table)
@@ -246,10 +222,9 @@ class GrossSearch:
     def _log_evidence(
         self, table: OrientedRows, supposed: Sequence[Reinterpretation], like: OrientedRows, kept: Mask
     ) -> Floats:
-        """Return ln of the probability density (H,) of the `kept` signals under each map, up to a constant.
+        """Return ln of the density (H,) of the `kept` signals under each map, all unknowns integrated out.
 
-        Coefficients and errors are integrated out; their priors are those for the table `like`. A reading without
-        signals has a density of 1 per g.
+        Priors are those for the table `like`. A reading without signals has a density of 1 per g.
         """
         unit = float(np.max(self._scale(like)))
         mean, u = (of / unit for of in self._prior(like))
@@ -265,7 +240,6 @@ class GrossSearch:
 
 
 def _off_g(block: Block, signal: Floats) -> Floats:
-    """Return |a| - 1 (n,), g, of signals (n, 3)."""
     return np.asarray(np.linalg.norm(block.specific_force(signal), axis=1) - 1.0)
 
 
@@ -280,10 +254,7 @@ def _enough(maps: Sequence[Reinterpretation]) -> float:
 
 
 def p_of(log_odds: float, log_looks: float) -> float:
-    """Return exp(`log_looks` - `log_odds`): the number of suppositions tried divided by the odds; 1 at most.
-
-    The result is never exactly 0.
-    """
+    """Return exp(`log_looks` - `log_odds`), suppositions tried over odds: at most 1, and never exactly 0."""
     return max(math.exp(min(log_looks - log_odds, 0.0)), sys.float_info.min)
 
 
@@ -295,10 +266,7 @@ The rows for m repeats have the variance reading^2 + m position^2.
 
 
 def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> tuple[Mask, Ints]:
-    """Return the mask (n,) of the `kept` rows that have signals, and the number of the position of each of them.
-
-    Angles that agree to 1 degree are one position.
-    """
+    """Return the mask (n,) of `kept` rows with signals, and the number of the position of each, to 1 degree."""
     label = table.label if supposed.label is None else supposed.label
     angle = table.angle_rad if supposed.angle_rad is None else supposed.angle_rad
     number = np.unique(label, return_inverse=True)[1].ravel()
@@ -308,11 +276,9 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 
 
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
-    """Return the products of the `kept` rows of `columns` (n, 7): means over repeats, and deviations from
-    these.
+    """Return the products of the `kept` rows of `columns` (n, 7), by the number m of repeats.
 
-    `position` has the number of each kept row's position. The deviations have the key 0 in the result, the
-    means of m repeats the key m.
+    Those of means over m repeats of a `position` have the key m, of deviations from the means the key 0.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))
@@ -326,10 +292,9 @@ def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
 
 
 def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g: Floats) -> Floats:
-    """Return ln of the evidence (H,) of H maps, averaged for each channel over the sizes of the errors.
+    """Return ln of the evidence (H,) of H maps, over sizes of the errors of readings and positions.
 
-    These are the errors of readings and of positions. Each channel has its own sizes; with common sizes, the other
-    channels would favour a wrong factor on a channel that hardly moves.
+    Each channel has its own sizes, or others would favour a wrong factor on a channel that hardly moves.
     """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),

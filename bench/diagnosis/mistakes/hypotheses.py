@@ -34,10 +34,8 @@ WIDE: Final = max(ERRORS)
 class ProjectedReadings:
     """The whitened readings of a table at one noise ratio, with all that is known projected out.
 
-    `white` has the noise of a reading and the setting error. `basis` (3n, k) spans the directions that are
-    projected out, which are those of the model and of the known changes. `pull` (3n,) are the residuals of the n
-    readings; `square` is the squared length of `pull`. `log_det` is the part of ln of the evidence that does not
-    depend on the readings.
+    `white` is the noise; `basis` (3n, k) spans model and known changes; `pull` (3n,) are the residuals and
+    `square` their square; `log_det` is the part of ln of the evidence without the readings.
     """
 
     table: Table
@@ -59,11 +57,7 @@ class ProjectedReadings:
         return self.table.unit * float(np.sqrt(self.square / max(free, 1.0)))
 
     def of_group(self, columns: Floats) -> float:
-        """Return ln of the Bayes factor for a change described by `columns` (n, 3, p) against no change.
-
-        The columns are in units of the noise. The prior of their p amplitudes is normal, with a standard
-        deviation that is averaged over `SIZES`.
-        """
+        """Return ln of the Bayes factor of a change `columns` (n, 3, p), in units of noise, of prior `SIZES`."""
         inside = self.table.whiten(self.table.unit * columns, self.white)
         known = self.basis.T @ inside
         values, vectors = np.linalg.eigh(inside.T @ inside - known.T @ known)
@@ -93,11 +87,7 @@ class ProjectedReadings:
 
     @cached_property
     def blocks(self) -> Floats:
-        """The information matrix of the errors of the three channels of each reading, (n, 3, 3).
-
-        It is the inverse covariance of these errors, in units of the noise, if they are estimated with all other
-        readings.
-        """
+        """The information matrix (n, 3, 3) of the errors of each reading's channels, in units of noise."""
         own = self.basis.reshape(len(self.table.left), 3, -1)
         seen = np.swapaxes(self._ways, 1, 2) @ own
         return np.asarray(np.swapaxes(self._ways, 1, 2) @ self._ways - seen @ np.swapaxes(seen, 1, 2))
@@ -110,13 +100,10 @@ class ProjectedReadings:
 
 @dataclass(frozen=True)
 class Table:
-    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the
-    block.
+    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the block.
 
-    `slope` (n, 3) are the derivatives of the signals by the head angle, per rad; `coefficients` (n, 3, 12),
-    by the coefficients; `stand` (n, 3, p), by the p other unknowns of the `problem`, times their prior
-    standard deviations. `unit` is the noise of a reading, from the median of the residuals. All are in the
-    unit of the signal.
+    Derivatives are `slope` (n, 3), per rad of the head, `coefficients` (n, 3, 12), and `stand` (n, 3, p) by the
+    other unknowns times prior u. `unit` is the noise of a reading. All are in the unit of the signal.
     """
 
     problem: Problem
@@ -129,10 +116,7 @@ class Table:
 
     @classmethod
     def of(cls, problem: Problem, block: Block, signal: Floats, floor: float) -> Table:
-        """Return the table of the readings `signal` (n, 3), linearised at `block`.
-
-        `floor` is the smallest permitted value of the noise, in the unit of the signal.
-        """
+        """Return the table of `signal` (n, 3), linearised at `block`; the noise is at least `floor`."""
         linear = problem.linear(block, problem.prior_mean)
         table = cls(
             problem, block, signal - linear.predicted, linear.slope, linear.jacobian[:, :, :FIXED],
@@ -171,10 +155,7 @@ class Table:
 
     @property
     def turn(self) -> Ints:
-        """The number of the pass of each reading, (n,), from 0.
-
-        Passes of different mountings have different numbers.
-        """
+        """The number (n,) of the pass of each reading, from 0; passes of different mountings differ."""
         conditions = self.problem.conditions
         key = np.stack([conditions.mount, conditions.pass_number], axis=1)
         return np.unique(key, axis=0, return_inverse=True)[1].ravel()
@@ -190,19 +171,16 @@ class Table:
         return np.asarray(self.deflection @ np.linalg.inv(self.block.K).T)
 
     def whiten(self, columns: Floats, white: Noise) -> Floats:
-        """Return `columns` (n, 3, p) as rows with independent noise of variance 1, shape (3n, p).
-
-        `white` has the noise of a reading and the setting error.
-        """
+        """Return `columns` (n, 3, p) as rows of independent noise of variance 1, (3n, p), for the noise `white`."""
         return whiten(columns, self.slope, white).reshape(self.left.size, -1)
 
     def seen(
         self, ratio: float, known: Sequence[Floats] = (), more: Sequence[Floats] = ()
     ) -> ProjectedReadings:
-        """Return the readings at one noise ratio, with the model and further columns (n, 3, p) projected out.
+        """Return the readings at a noise ratio, with the model and further columns (n, 3, p) projected out.
 
-        The columns `known` are in units of the noise, and their amplitudes have a wide prior. The columns `more`
-        are in the unit of the signal, and their amplitudes have standard normal priors.
+        `known` are in units of the noise, of wide prior; `more`, in the unit of the signal, of standard normal
+        prior.
         """
         white = Noise(self.unit, ratio * self.unit / self.typical_slope, np.inf, "grid")
         wide = self.coefficients * (WIDE * self.unit / np.max(np.abs(self.coefficients)))
@@ -221,8 +199,7 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        Readings within half of `MARK_DEG` of their median angle are repeats, so that a wrong setting stays with its
-        repeats.
+        Repeats are within half of `MARK_DEG` of their median: a wrong setting stays with its repeats.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)
@@ -233,10 +210,9 @@ class Table:
         return per_channel(group[:, None] == np.unique(group)[np.bincount(group) > 1])
 
     def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
-        """Yield the changes of the bench that may resemble wrong readings, as columns (n, 3, p).
+        """Yield unit changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
-        They are of unit size. The first item of each pair is the mask (n,) of the pass in which the change
-        occurs, None if the change is not limited to a pass, or the run has a single one.
+        The first item is the mask (n,) of the pass of the change; None if it is in all, or there is only one.
         """
         if self.points.shape[2]:
             yield None, self.points
@@ -255,25 +231,18 @@ class Table:
         yield from ((None, columns) for columns in _hysteresis(self.problem, self.block))
 
     def of_pass(self, rows: Mask) -> Floats:
-        """Return the changes of a pass, in the rows of the mask (n,), as columns (n, 3, 9).
-
-        They are a bias and a gain for each channel, and a rotation of the block about each axis.
-        """
+        """Return a bias, a gain and a rotation of the block in the rows of the mask (n,), as columns (n, 3, 9)."""
         unit = self.deflection / np.max(np.abs(self.deflection))
         turned = self.rotations * rows[:, None, None] / np.max(np.abs(self.block.K))
         return np.concatenate([per_channel(rows[:, None]), scaled(unit, rows), turned], axis=2)
 
     @cached_property
     def rotations(self) -> Floats:
-        """The derivatives of the signals by rotations of the block about its three axes, (n, 3, 3), per rad.
-
-        The second index is the channel, the third the axis.
-        """
+        """The derivatives (n, 3, 3) of the channels by rotations of the block about its three axes, per rad."""
         return np.stack([np.cross(self.force, axis) @ self.block.K.T for axis in np.eye(3)], axis=2)
 
 
 def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
-    """Yield, for each width that the catalogue tries, columns (n, 3, 3): hysteresis of each channel."""
     effect = CATALOGUE["hysteresis"]
     still = np.zeros((len(problem.conditions.mounts), len(STAND_ANGLES)))
     plain = replace(problem.model, effects=())
@@ -285,17 +254,11 @@ def _hysteresis(problem: Problem, block: Block) -> Iterator[Floats]:
 
 
 def per_channel(columns: Floats | Mask) -> Floats:
-    """Return columns (n, 3, 3k) for k time courses (n, k).
-
-    Each column is one course in one channel, and zero in the other two.
-    """
+    """Return columns (n, 3, 3k) for k time courses (n, k), each in one channel only."""
     each = np.einsum("nk,ij->nikj", columns.astype(np.float64), np.eye(3))
     return np.asarray(each.reshape(len(columns), 3, -1))
 
 
 def scaled(signal: Floats, by: Floats | Mask) -> Floats:
-    """Return columns (n, 3, 3) for changes of gain: each is the signal of one channel times the course `by`.
-
-    `signal` is (n, 3), `by` is (n,).
-    """
+    """Return columns (n, 3, 3) for changes of gain: each channel of `signal` (n, 3) times the course `by` (n,)."""
     return np.asarray(signal[:, :, None] * np.eye(3) * np.asarray(by, dtype=np.float64)[:, None, None])

@@ -23,10 +23,9 @@ from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The n readings of a table that were taken in an orientation, or those at its verification points.
+    """The n readings of a table taken in an orientation, or those at its verification points.
 
-    `rows` (n,) are the indices of the readings in the table; `mount` (n,) are the indices of their mountings in
-    `mounts`; `label` (n,) are their installations. `signal` (n, 3) is in `unit`.
+    `rows` (n,) are indices in the table, `mount` (n,) in `mounts`; `signal` (n, 3) is in `unit`.
     """
 
     rows: Ints
@@ -71,11 +70,7 @@ class OrientedRows:
 
 @dataclass(frozen=True)
 class Scope:
-    """The part of a run to which a supposition applies: the rows in `mask` (n,).
-
-    `mounts` are the mountings of this part, or empty for all mountings; `pass_number` is its pass, or None for
-    all passes.
-    """
+    """The rows in `mask` (n,) that a supposition is about, with their mountings and pass (empty, None: all)."""
 
     mask: Mask
     mounts: tuple[Mounting, ...] = ()
@@ -97,15 +92,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings.
+    """A supposed mistake in the record of n readings; a default field leaves the record as it is.
 
-    A field with its default value leaves the record as it is.
-
-    `label` (n,) and `angle_rad` (n,) are the true installations and head angles. `source` (n,): the true signals
-    of reading i were recorded with reading `source[i]`, or not at all if that is -1. `turns` maps each
-    installation that was mounted in another orientation to the rotation matrix (3, 3) from the stated to the true
-    block axes. `matrix` (3, 3) converts the signals as recorded to the true signals in the unit of the file; it
-    acts in `scope` only. `words` is a sentence for people.
+    `label` and `angle_rad` (n,) are the truth; true signals of reading i are with reading `source[i]` (-1:
+    lost). `turns` has rotations (3, 3) from stated to true block axes by installation; `matrix` (3, 3) converts
+    signals in `scope`. `words` is a sentence.
     """
 
     name: str
@@ -129,10 +120,7 @@ class Reinterpretation:
 
     @property
     def log_jacobian(self) -> float:
-        """ln of the factor by which the correction enlarges a volume of signals.
-
-        For a part of the run, the result is at most 0: a channel that hardly moves there fits any factor.
-        """
+        """ln of the enlargement of a volume of signals; at most 0 for a part, where any factor may fit."""
         size = float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
         return size if self.scope.whole else min(size, 0.0)
 
@@ -149,19 +137,15 @@ class Reinterpretation:
         )
 
     def signal(self, table: OrientedRows) -> Floats:
-        """Return the true signals (n, 3) of the readings of `table`.
-
-        A reading for which `source` is -1 gets the recorded signals of the first row.
-        """
+        """Return the true signals (n, 3); with a `source` of -1, they are the first row's as recorded."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
         return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
-        """Return a corrected copy of the table `readings`, the oriented readings of which are `table`.
+        """Return a corrected copy of `readings`, the oriented rows of which are `table`.
 
-        If the supposition applies to the whole run, wires and the sense of the head are also corrected in
-        verification points and free positions. The sign of a reference voltage is known and not changed. Readings
-        whose true signals were not recorded are omitted.
+        A supposition about the whole run corrects wires and sense of the head in all rows, but not the known
+        sign of a reference. Readings without recorded signals are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -202,11 +186,7 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return the indices of verification and free rows in the same wrong unit as this part of the run.
-
-        They are the rows whose modulus is clearly wrong, and nearer to the usual modulus with the factor of
-        the unit.
-        """
+        """Return verification and free rows in the same wrong unit: the factor makes their modulus usual."""
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
         usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
@@ -218,10 +198,7 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition about a table that is tried, the simpler ones first.
-
-    If `units`, they include signals in another unit or range, or with a misplaced decimal point.
-    """
+    """Return every supposition that is tried, the simpler ones first; `units` adds other units and ranges."""
     scopes = _scopes(table)
     found: list[Reinterpretation] = []
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
@@ -301,7 +278,6 @@ def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpre
 
 
 def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Yield suppositions that a mounting, or a pass of it, was in another of the run's installations."""
     if scope.whole:
         return
     own = scope.mounts[0].installation
@@ -313,9 +289,6 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
-    """Return suppositions that two installations were exchanged, in the whole run or in all passes with one
-    number.
-    """
     found = []
     passes = np.unique(table.pass_number).tolist()
     for one, other in combinations(table.labels, 2):
@@ -333,10 +306,7 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 
 
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Yield suppositions that the readings are one row late or early, or the head was a stop behind or ahead.
-
-    They apply to each pass by itself.
-    """
+    """Yield suppositions that, pass by pass, readings are a row late or early, or the head a stop off."""
     runs = table.mount * (table.pass_number.max() + 1) + table.pass_number
     for step, when in ((1, "late"), (-1, "early")):
         words = (
@@ -388,10 +358,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
-    """Return the suppositions that the block was mounted in another orientation, 23 for each installation.
-
-    The orientations are those in which the block's axes remain along the axes of the installation.
-    """
+    """Return the suppositions of another mounting along the axes: 23 rotations for each installation."""
     found = []
     for label in table.labels:
         mask = table.label == label

@@ -18,7 +18,7 @@ from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import make_problem
 from bench.calibration.gls import noise_floor
-from bench.calibration.mistakes import PREFIX, PREFIXES, WrongUnit, sheet_of, wrong_unit
+from bench.calibration.mistakes import PREFIX, PREFIXES, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
@@ -34,13 +34,11 @@ from bench.readings.table import Readings
 class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
-    `name` is one of swapped_channels, reversed_polarity, reversed_rotation, swapped_installations,
-    shifted_points, wrong_setting, outlier, wrong_unit, another_block, stuck_channel. `installations` are
-    mountings written as `str(Mounting)`; empty means the whole run. `words` is a sentence. `p` is the
-    p-value, corrected for all suppositions tried. `cannot_tell_from` are the names of mistakes and effects
-    that explain these readings equally well; "other_mounting" means that the block was mounted in another
-    orientation. `misfit_before` and `misfit_after` its correction are root mean squares of the deviations of all
-    readings from model and data sheet, in units of the noise; noise alone gives 1.
+    `name` is a `MistakeName`; `installations` are mountings (`str(Mounting)`; empty: the whole run); `words` is
+    a sentence. `p` counts all suppositions tried. `cannot_tell_from` are mistakes and effects that explain the
+    readings equally well; "other_mounting" is another orientation of the block. `misfit_before` and
+    `misfit_after` are root mean squares of the deviations from model and data sheet, in units of the noise;
+    noise alone gives 1.
     """
 
     name: str
@@ -57,10 +55,7 @@ class Mistake:
 
 @dataclass(frozen=True)
 class MistakeSearch:
-    """The result of a search: the mistakes in the order of their correction, and the corrected copy.
-
-    Readings with an outlier are not in the copy; its `skipped` lists them.
-    """
+    """The mistakes in the order of their correction, and the corrected copy; its `skipped` lists outliers."""
 
     mistakes: tuple[Mistake, ...]
     corrected: Readings
@@ -91,12 +86,10 @@ def find_mistakes(
 ) -> MistakeSearch:
     """Return the mistakes in a table of readings, and a copy without them.
 
-    `stand_u` has the standard uncertainties of the stand angles (`STAND_ANGLES`) and of the "setting_error"
-    by name, rad. `nominal_scale_factors` (3,) are those of the data sheet with their signs, in the unit of
-    the signal per g. Without them (None), a mistake that only changes the coefficients, such as channels
-    exchanged in the whole run, cannot be found. `significance`: a reading or pass counts as wrong if the odds
-    for a mistake there exceed 1/`significance`. Raises `CalibrationError` if no reading can be used, or a signal
-    is not a number.
+    `stand_u` has the u of angles (`STAND_ANGLES`) and "setting_error", rad. Without `nominal_scale_factors`
+    (3,), signed, unit of the signal per g, mistakes that only change coefficients are not found. Odds of a
+    mistake exceed 1/`significance`. Raises `CalibrationError` if no reading can be used, or a signal is not a
+    number.
     """
     usable_rows(readings, model)
     nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)
@@ -126,10 +119,9 @@ class _Search:
     significance: float
 
     def unit(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a mistake in the unit of signals, found by comparing signals with each other, and the copy.
+        """Return a wrong unit, found by comparing signals, and the copy, if any; with a data sheet, see `map`.
 
-        The list is empty if there is none, or if a data sheet is given: `map` then finds wrong units. The
-        p-value counts every unit prefix of every channel in every part of the table.
+        The p-value counts every unit prefix of every channel in every part of the table.
         """
         unit = (
             wrong_unit(readings, self.model, sheet_of(readings.unit, ()))
@@ -142,13 +134,12 @@ class _Search:
         parts = 1 + len(np.unique(table.pass_number)) + len(np.unique(table.label))
         log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
         p = self.gross.p_of_copy(readings, copy, log_scaling, 3 * parts * np.log(len(PREFIXES)))
-        return [(_unit_mistake(unit, p), copy)]
+        where = () if unit.installation is None else (unit.installation,)
+        words, name = f"{unit.words}; the copy has them in the unit of the file", MistakeName.WRONG_UNIT
+        return [(Mistake(name, unit.channels, where, unit.pass_number, None, words, p, ()), copy)]
 
     def map(self, readings: Readings, *, verification: bool = False) -> list[tuple[Mistake, Readings]]:
-        """Return the likeliest other meaning of the record with the corrected copy; empty if there is none.
-
-        With `verification`, it is a wrong wiring at the verification points.
-        """
+        """Return the likeliest other meaning of the record, or of its `verification` points, with the copy."""
         gross = (self.gross.find_at_verification if verification else self.gross.find)(readings)
         if gross is None:
             return []
@@ -156,10 +147,7 @@ class _Search:
         return [(_gross_mistake(gross), gross.supposition.correct(readings, table))]
 
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return the passes and single readings that are wrong, each with a corrected copy.
-
-        A copy is corrected for all mistakes up to its own.
-        """
+        """Return the passes and single readings that are wrong, each with a copy corrected up to it."""
         table, terms = self._of(readings)
         angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
         skipped, found = list(readings.skipped), []
@@ -185,10 +173,9 @@ class _Search:
         return table, TermSearch(problem, table.signal, floor, fit)
 
     def with_misfits(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes, each with the misfit before and after its correction.
+        """Return the mistakes with the misfits of `copies`, the record first, before and after each.
 
         A mistake at the verification points changes no misfit of the oriented readings, and gets none.
-        `copies` has the record first, then the copy after each correction.
         """
         if not found:
             return ()
@@ -203,12 +190,6 @@ class _Search:
             replace(mistake, misfit_before=before, misfit_after=after) if before != after else mistake
             for mistake, before, after in zip(found, sizes[:-1], sizes[1:], strict=True)
         )
-
-
-def _unit_mistake(unit: WrongUnit, p: float) -> Mistake:
-    installations = () if unit.installation is None else (unit.installation,)
-    words = f"{unit.words}; the copy has them in the unit of the file"
-    return Mistake(MistakeName.WRONG_UNIT, unit.channels, installations, unit.pass_number, None, words, p, ())
 
 
 def _gross_mistake(gross: GrossMistake) -> Mistake:

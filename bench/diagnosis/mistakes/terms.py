@@ -37,13 +37,11 @@ SLIP_PART: Final = 0.01
 
 @dataclass(frozen=True)
 class WrongReadings:
-    """A mistake in one reading, or in all readings of a pass.
+    """A mistake in one reading, or in all readings of a pass (`rows`, among oriented ones).
 
-    `rows` are the indices of these readings among the oriented ones. `off_rad` is the true head angle minus the
-    recorded one, None if the readings are useless. `ties` are the names of mistakes or effects that may explain
-    these readings as well. `p` is the number of hypotheses tried divided by the odds of this mistake against no
-    mistake. For a single reading, `shift` (3,) is the error of its signals in their unit, and `sigma` is the
-    largest of the three errors in standard deviations of the noise. For a pass, `shift` is empty.
+    `off_rad` is the true minus the recorded angle, None if readings are useless; `ties` may explain them as
+    well; `p` is hypotheses over odds. For one reading, `shift` (3,) is the error, unit of the signal, and
+    `sigma` its largest in noise; a pass has no `shift`.
     """
 
     name: MistakeName
@@ -63,11 +61,7 @@ class WrongReadings:
 
 @dataclass(frozen=True)
 class TermSearch:
-    """A search for wrong readings among n oriented readings, `signal` (n, 3).
-
-    `problem` has the model and its unknowns. `floor` is the least noise of a reading, in the unit of the
-    signal. `fit` returns the block fitted to the readings in a mask (n,).
-    """
+    """A search for wrong readings in `signal` (n, 3), of noise at least `floor`, about a `fit` of a mask."""
 
     problem: Problem
     signal: Floats
@@ -80,17 +74,14 @@ class TermSearch:
         return self._without(np.zeros(len(self.signal), dtype=bool))
 
     def _without(self, rows: Mask) -> Table:
-        """Return the table linearised about a block that is fitted to all other rows."""
         return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
 
     def find(self, significance: float) -> list[WrongReadings]:
-        """Return the pass that is wrong as a whole, or else the single readings that are wrong.
+        """Return the pass that is wrong as a whole, or else wrong single readings, the largest error first.
 
-        The readings are sorted by the size of their errors, the largest first. Step by step, the likeliest
-        hypothesis joins the model: an error of a single reading, or a change of the bench. This ends when no
-        error of a reading and no change of a pass has odds above 1/`significance`. A change of a pass is
-        first compared with mistakes in this pass; the first mistake that wins is the only result. The result
-        is empty if nothing is wrong, or if too many readings would be.
+        The likeliest error of a reading or change of the bench joins the model, until no odds exceed
+        1/`significance`. A change of a pass is compared with mistakes in it. If too many readings would be
+        wrong, none is returned.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
@@ -126,11 +117,7 @@ class TermSearch:
         return sorted(told, key=lambda m: -m.sigma)
 
     def _of_pass(self, rows: Mask) -> WrongReadings | None:
-        """Return the likeliest mistake in the pass of the rows in the mask `rows` (n,).
-
-        The result is None if effects or chance are likelier. Each hypothesis is a set of changes of the
-        signals in the pass, with normal priors of their sizes.
-        """
+        """Return the likeliest mistake in the pass `rows` (n,); None if effects or chance are likelier."""
         one = _Pass.of(self._without(rows), rows)
         nothing, effects = one.evidence(), list(_of_effects(one))
         mistakes = list(_of_mistakes(one))
@@ -148,10 +135,7 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio, `seen`, and ln of the probability of each ratio, `weight` (ratios,).
-
-    Known columns are projected out of the readings.
-    """
+    """The readings at each noise ratio beside known columns, and ln of the probability of each ratio, `weight`."""
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats
@@ -167,9 +151,7 @@ class _Beside:
         return self.weight[:, None] + [one.of_readings() for one in self.seen]
 
     def of_readings(self) -> Floats:
-        """Return ln of the odds (n,) of an error of each reading; the prior odds of an error are 1/n for
-        each.
-        """
+        """Return ln of the odds (n,) of an error of each reading, with prior odds of 1/n each."""
         return np.asarray(logsumexp(self._of_readings, axis=0) - np.log(self._of_readings.shape[1]))
 
     def likeliest(self, row: int) -> ProjectedReadings:
@@ -185,7 +167,6 @@ class _Beside:
 
 
 def _error(n: int, row: int) -> Floats:
-    """Return the columns (n, 3, 3) of arbitrary errors of a reading."""
     return np.asarray((np.arange(n) == row)[:, None, None] * np.eye(3))
 
 
@@ -198,10 +179,10 @@ def _moved(table: Table, off_rad: Floats | float) -> Floats:
 
 
 def _slips(table: Table) -> list[tuple[Floats, Floats]]:
-    """Return, for each kind of wrong setting, the errors of the angles (n,), rad, and of the signals (n, 3).
+    """Return, for each kind of wrong setting, the errors of angles (n,), rad, and signals (n, 3).
 
-    The kinds are slips of the scale that are smaller than half of `MARK_DEG`, an angle counted backwards, and the
-    stop before or after in the pass. With larger slips, repeats could no longer be recognised.
+    The kinds are slips below half of `MARK_DEG`, with which repeats are still recognised, an angle counted
+    backwards, and the neighbouring stops.
     """
     angle, turn = table.problem.conditions.angle_rad, table.turn
     sizes = [slip for slip in SLIPS_RAD.values() if slip < np.radians(MARK_DEG / 2.0)]
@@ -215,9 +196,7 @@ def _slips(table: Table) -> list[tuple[Floats, Floats]]:
 def _classified(
     seen: ProjectedReadings, row: int, slips: Sequence[tuple[Floats, Floats]], p: float
 ) -> WrongReadings:
-    """Return the wrong reading `row`: a wrong setting if one of `slips` explains its three signals, else an
-    outlier.
-    """
+    """Return the wrong reading `row`: a setting if one of `slips` explains its signals, else an outlier."""
     table, block, pull = seen.table, seen.blocks[row], seen.pulls[row]
     shift = np.linalg.solve(block, pull)
     free = len(seen.pull) - float(np.sum(seen.basis**2)) - 3.0
@@ -262,10 +241,7 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Pass:
-    """One pass, in readings about a block fitted to all other passes, at the likeliest noise ratio `ratio`.
-
-    `rows` (n,) is the mask of the readings of this pass.
-    """
+    """One pass, of the rows in a mask (n,), about a block fitted to all others, at the likeliest noise ratio."""
 
     table: Table
     rows: Mask
@@ -278,11 +254,7 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings, projected with changes of the pass in the model.
-
-        The changes are `columns` (n, 3, p) with standard normal amplitudes. `beyond` (n, 3) is added to the
-        predicted signals of the pass.
-        """
+        """Return the readings with changes of the pass, `columns` (n, 3, p), and signals `beyond` in the model."""
         table = replace(self.table, left=self.table.left - beyond * self.rows[:, None])
         return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
 
@@ -302,11 +274,7 @@ class _Pass:
 
 
 def _of_mistakes(one: _Pass) -> Iterator[tuple[float, MistakeName, float | None, tuple[str, ...]]]:
-    """Yield ln of the evidence of each mistake of a pass, its name, the error of the angle, and the channels.
-
-    In order: an angle misread by a mark, unless that is a plausible shift of the zero; a stuck channel;
-    another block.
-    """
+    """Yield ln of the evidence of each mistake of a pass, its name, the error of the angle, and the channels."""
     marks = [slip for slip in SLIPS_RAD.values() if slip > SIZES[1] * _zero_shift_rad()]
     for off in (sign * slip for slip in marks for sign in (1.0, -1.0)):
         log_mark = one.evidence(None, _moved(one.table, off)) - float(np.log(2 * len(marks)))
@@ -317,16 +285,11 @@ def _of_mistakes(one: _Pass) -> Iterator[tuple[float, MistakeName, float | None,
 
 
 def _zero_shift_rad() -> float:
-    """Return a plausible shift of the head's zero."""
     return CATALOGUE["head_zero_shift"].parameters[0].plausible
 
 
 def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
-    """Yield the name of each effect that may act in one pass, with ln of its evidence.
-
-    In order: another zero of the head, other voltmeters, a slip of the block, a slip with other voltmeters, one
-    or two accelerometers with other coefficients, and one channel with arbitrary signals.
-    """
+    """Yield the name of each effect that may act in one pass, with ln of its evidence."""
     table, n = one.table, len(one.rows)
     scale = np.linalg.norm(table.block.K, axis=1)
     zero = [one.evidence(size * _zero_shift_rad() * table.slope[:, :, None]) for size in SIZES]
@@ -347,10 +310,9 @@ def _of_effects(one: _Pass) -> Iterator[tuple[str, float]]:
 
 
 def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
-    """Return the nonlinear part (n, 3) of the signals' change by a rotation of the block.
+    """Return the nonlinear part (n, 3) of a rotation of the block, fitted to the pass.
 
-    The first three of `columns` are the derivatives by the rotation, in a `unit` of rad. The size of the rotation
-    is fitted to the pass.
+    The first three of `columns` are its derivatives, in a `unit` of rad.
     """
     force, K = one.table.force, one.table.block.K
     bent = np.zeros_like(one.table.left)
@@ -364,9 +326,7 @@ def _bent(one: _Pass, columns: Floats, unit: float) -> Floats:
 
 
 def _stuck(one: _Pass, channel: int) -> float:
-    """Return ln of the evidence that a `channel` (0, 1, 2) gives one unknown value in all readings of the
-    pass.
-    """
+    """Return ln of the evidence that a `channel` (0, 1, 2) gives one unknown value in the whole pass."""
     table = one.table
     deaf = np.outer(one.rows, np.eye(3)[channel]) == 1.0
     hearing = replace(
