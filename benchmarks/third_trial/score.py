@@ -115,17 +115,22 @@ def mistake_marks(one: Record) -> Marks:
 def form_marks(one: Record) -> Marks:
     """Return the marks of a model's effect on the coefficients of a new day.
 
-    The time at which a drift counts as zero affects only the biases.
+    The time at which a drift counts as zero affects only the biases. A confounded name is in the model only because
+    the trial accepts the first one; the cases without it are counted again as unforced.
     """
     if "new_day" not in one:
         return {"model file": False}
+    unforced = one["verdict"] != "confounded"
     before, after = (np.abs(one["new_day"][when]) for when in ("before", "after"))
     worse = after > before + 1
+    better = bool(np.sum(after**2) < np.sum(before**2))
     return {
         "model file": True,
-        "better": bool(np.sum(after**2) < np.sum(before**2)),
+        "better": better,
         "worse by more than u": bool(worse.any()),
         "K worse by more than u": bool(worse[:9].any()),
+        "unforced, better": better if unforced else None,
+        "unforced, worse by more than u": bool(worse.any()) if unforced else None,
     }
 
 
