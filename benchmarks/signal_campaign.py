@@ -260,7 +260,7 @@ def wait_for_phase(trial: Trial, process: subprocess.Popen[str], events: Path, s
         if failing and shows(events, "run_started"):
             failing = False
             served.hang("voltmeter.y")
-        time.sleep(0.002)
+        time.sleep(0.01)
 
 
 def send(trial: Trial, process: subprocess.Popen[str]) -> None:

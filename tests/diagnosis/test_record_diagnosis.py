@@ -7,6 +7,7 @@ import pytest
 
 from bench.base.arrays import rms
 from bench.calibration.result import CalibrationError
+from bench.diagnosis import record_model
 from bench.diagnosis.confirm import confirm_record
 from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import diagnose_record
@@ -30,9 +31,25 @@ from tests.support.known_inputs import (
 )
 
 THERMAL = {"voltmeter_thermal_gain", "voltmeter_thermal_offset"}
+WHOLE = record_model.BINS
+
+
+@pytest.fixture(autouse=True, scope="module")
+def half_the_means():
+    """A search of half as many means takes half the time, and has the same readings to tell from."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(record_model, "BINS", WHOLE // 2)
+        yield
+
+
+@pytest.fixture
+def all_the_means(monkeypatch):
+    """As many means as the program takes."""
+    monkeypatch.setattr(record_model, "BINS", WHOLE)
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("all_the_means")
 def test_a_meter_in_an_air_bath_follows_its_temperature_late(tmp_path):
     """0.7 to 0.9 ppm/K behind 90 to 110 min, as an independent least-squares fit of the record gives."""
     found = diagnose_record(as_readings(BATH, BATH_COLUMNS, tmp_path))
@@ -106,6 +123,7 @@ def test_a_reference_follows_its_swept_supply_and_not_the_room(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("all_the_means")
 @pytest.mark.parametrize("tau_min", [15, 90])
 def test_self_heating_after_switching_on_is_named_with_its_size(tau_min, tmp_path):
     """Size and time constant within 3.3 u: 99.9 % of an honest u, for each of four numbers."""
@@ -242,6 +260,7 @@ def test_a_confirmation_allows_for_an_unknown_lag_as_the_diagnosis_does(of_twin,
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("all_the_means")
 def test_u_of_a_jump_allows_for_the_lag_of_an_effect_beside_it(tmp_path):
     record = make_record(read_csv(twin(tmp_path, 5, jump_v=2e-6), ()))
     work = RecordWork.of(record, make_courses(record))
