@@ -6,7 +6,7 @@ The help shows common options; `--help-all` shows all options.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from keyword import iskeyword
@@ -190,10 +190,6 @@ _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 KNOWN: Final[dict[Any, Any]] = {}
 """The library's settings of each command, by the function of the command."""
 
-COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
-"""Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is
-imported, because importing it here would be circular."""
-
 
 class Commands(CommandGroup):
     """The group of all commands; the module of a command is imported when the command is used."""
@@ -246,10 +242,6 @@ def load_command(name: str) -> Any:
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
-        group = get_group(module.GROUP)
-        for command in group.commands.values():
-            COMPLETED_BY[0](command)
-        return group
+        return get_group(module.GROUP)
     info = KNOWN[getattr(module, word)]
-    command = get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
-    return COMPLETED_BY[0](command)
+    return get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
