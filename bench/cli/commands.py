@@ -15,6 +15,8 @@ from typing import Any, Final
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info, get_group
 
+from bench.base.requests import ESTIMATORS_IN_A_BUDGET, ESTIMATORS_TOLD
+
 MORE: Final = "More options"
 """Heading of the options that only the whole help shows; such an option has it as `rich_help_panel`."""
 WHOLE: Final = "--help-all"
@@ -73,7 +75,7 @@ class BenchCommand(TyperCommand):
             else:
                 panel = getattr(parameter, "rich_help_panel", None)
                 heading = MORE if panel == MORE else "Options"
-                shown[heading].append((_named(record[0]), record[1]))
+                shown[heading].append((_named(record[0]), _with_estimators(record[1])))
         if shown[MORE]:
             words = f"Show all options ({len(shown[MORE])} more)."
             shown["Options"].append((WHOLE, words))
@@ -108,6 +110,18 @@ def _in_usage(argument: Any) -> str:
 def _named(option: str) -> str:
     """Return an option with its value in capitals, as "--seed N" for "--seed <int range>"."""
     return re.sub(r"<(.+?)>$", lambda value: _VALUES.get(value[1], "TEXT"), option)
+
+
+def _with_estimators(words: str) -> str:
+    """Return the help of an option, with the estimators in place of their placeholder."""
+    for placeholder in (ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET):
+        if placeholder in words:
+            from bench.calibration.estimators import estimators_in_words  # takes a second
+
+            return words.replace(
+                placeholder, estimators_in_words(budget=placeholder == ESTIMATORS_IN_A_BUDGET)
+            )
+    return words
 
 
 COMMANDS: Final = {

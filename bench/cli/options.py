@@ -13,16 +13,9 @@ from pathlib import Path
 from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import typer
-from typer.core import TyperOption
 
 from bench.base.languages import LANGUAGES, known_language, speaking
-from bench.base.requests import (
-    ESTIMATORS_IN_A_BUDGET,
-    ESTIMATORS_TOLD,
-    NOT_GIVEN,
-    RequestField,
-    fields_of,
-)
+from bench.base.requests import NOT_GIVEN, RequestField, fields_of
 from bench.cli import completing
 from bench.cli.commands import COMMANDS, KNOWN, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
@@ -128,34 +121,6 @@ def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> ty
         epilog=f"Example: {example}",
         help=COMMANDS[name],
     )
-
-
-_PLACEHOLDERS: Final = (ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET)
-
-
-class WithEstimators(BenchCommand):
-    """A command whose help names the estimators.
-
-    The names are looked up only for the help, because a look-up takes a second.
-    """
-
-    def get_help(self, ctx: Any) -> str:
-        """Return the help with the names of the estimators."""
-        from bench.calibration.estimators import estimators_in_words
-
-        named = [
-            option
-            for option in self.params
-            if isinstance(option, TyperOption) and option.help in _PLACEHOLDERS
-        ]
-        placeholders = [option.help for option in named]
-        try:
-            for option in named:
-                option.help = estimators_in_words(budget=option.help == ESTIMATORS_IN_A_BUDGET)
-            return super().get_help(ctx)
-        finally:  # a later call may know further estimators
-            for option, text in zip(named, placeholders, strict=True):
-                option.help = text
 
 
 def _writable(target: str | None) -> str | None:
@@ -291,7 +256,7 @@ def _flags(field: RequestField) -> tuple[str, ...]:
 
 
 def command(
-    example: str, name: str | None = None, *, to: typer.Typer = app, cls: type[BenchCommand] = BenchCommand
+    example: str, name: str | None = None, *, to: typer.Typer = app
 ) -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Return a decorator that makes a function a command, with an example in its help.
 
@@ -301,7 +266,7 @@ def command(
     def entered(function: Callable[..., int]) -> Callable[..., int]:
         with_request = any(_requests(get_type_hints(function, include_extras=True)))
         whole = requested(function) if with_request else function
-        to.command(name, cls=cls, epilog=f"Example: {example}")(whole)
+        to.command(name, cls=BenchCommand, epilog=f"Example: {example}")(whole)
         KNOWN[whole] = to.registered_commands[-1]
         return whole
 
