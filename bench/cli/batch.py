@@ -10,7 +10,7 @@ import typer
 
 from bench.base.computing import one_thread
 from bench.cli import printing
-from bench.cli.options import JsonOption, WithEstimators, command, group
+from bench.cli.options import JsonOption, command, group
 from bench.services.requests.documents import Batch, BatchCalibrate, BatchDiagnose, BatchReport
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 GROUP: Final = group("batch", "bench batch calibrate --over 'runs/*' --estimator robust --out recomputed")
 
 
-@command(
-    "bench batch calibrate --over 'runs/*' --model found.yaml --out recomputed", to=GROUP, cls=WithEstimators
-)
+@command("bench batch calibrate --over 'runs/*' --model found.yaml --out recomputed", to=GROUP)
 def calibrate(request: BatchCalibrate, json: JsonOption = None) -> int:
     """Recompute coefficients and verdicts; exit status 1 if a verdict changes or a run fails."""
     return 0 if _carried_out(request, json).accepted(strict=request.strict) else 1

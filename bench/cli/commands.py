@@ -6,7 +6,7 @@ The help shows common options; `--help-all` shows all options.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
 from keyword import iskeyword
@@ -14,6 +14,8 @@ from typing import Any, Final
 
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_command_from_info, get_group
+
+from bench.base.requests import ESTIMATORS_IN_A_BUDGET, ESTIMATORS_TOLD
 
 MORE: Final = "More options"
 """Heading of the options that only the whole help shows; such an option has it as `rich_help_panel`."""
@@ -73,7 +75,7 @@ class BenchCommand(TyperCommand):
             else:
                 panel = getattr(parameter, "rich_help_panel", None)
                 heading = MORE if panel == MORE else "Options"
-                shown[heading].append((_named(record[0]), record[1]))
+                shown[heading].append((_named(record[0]), _with_estimators(record[1])))
         if shown[MORE]:
             words = f"Show all options ({len(shown[MORE])} more)."
             shown["Options"].append((WHOLE, words))
@@ -108,6 +110,18 @@ def _in_usage(argument: Any) -> str:
 def _named(option: str) -> str:
     """Return an option with its value in capitals, as "--seed N" for "--seed <int range>"."""
     return re.sub(r"<(.+?)>$", lambda value: _VALUES.get(value[1], "TEXT"), option)
+
+
+def _with_estimators(words: str) -> str:
+    """Return the help of an option, with the estimators in place of their placeholder."""
+    for placeholder in (ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET):
+        if placeholder in words:
+            from bench.calibration.estimators import estimators_in_words  # takes a second
+
+            return words.replace(
+                placeholder, estimators_in_words(budget=placeholder == ESTIMATORS_IN_A_BUDGET)
+            )
+    return words
 
 
 COMMANDS: Final = {
@@ -190,10 +204,6 @@ _WIDTH: Final = max(len(name) for names in COMMON.values() for name in names)
 KNOWN: Final[dict[Any, Any]] = {}
 """The library's settings of each command, by the function of the command."""
 
-COMPLETED_BY: Final[list[Callable[[Any], Any]]] = []
-"""Holds the function that adds the shared options to a command. `bench.cli.options` appends it when it is
-imported, because importing it here would be circular."""
-
 
 class Commands(CommandGroup):
     """The group of all commands; the module of a command is imported when the command is used."""
@@ -246,10 +256,6 @@ def load_command(name: str) -> Any:
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")
     if hasattr(module, "GROUP"):
-        group = get_group(module.GROUP)
-        for command in group.commands.values():
-            COMPLETED_BY[0](command)
-        return group
+        return get_group(module.GROUP)
     info = KNOWN[getattr(module, word)]
-    command = get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)
-    return COMPLETED_BY[0](command)
+    return get_command_from_info(info, pretty_exceptions_short=True, rich_markup_mode=None)

@@ -12,7 +12,7 @@ import typer
 from bench.base.computing import one_thread
 from bench.base.text import as_typed
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, StrictFitOption, WithEstimators, command
+from bench.cli.options import JsonOption, OutOption, StrictFitOption, command
 from bench.services.errors import refusing
 from bench.services.requests.evaluation import (
     Accept,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 
-@command("bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json", cls=WithEstimators)
+@command("bench calibrate readings.csv --bench my-bench.yaml --json coefficients.json")
 def calibrate(
     requests: list[Calibrate],
     json: JsonOption = None,

@@ -13,18 +13,11 @@ from pathlib import Path
 from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import typer
-from typer.core import TyperOption
 
 from bench.base.languages import LANGUAGES, known_language, speaking
-from bench.base.requests import (
-    ESTIMATORS_IN_A_BUDGET,
-    ESTIMATORS_TOLD,
-    NOT_GIVEN,
-    RequestField,
-    fields_of,
-)
+from bench.base.requests import NOT_GIVEN, RequestField, fields_of
 from bench.cli import completing
-from bench.cli.commands import COMMANDS, COMPLETED_BY, KNOWN, MORE, BenchCommand, CommandGroup, Commands
+from bench.cli.commands import COMMANDS, KNOWN, MORE, BenchCommand, CommandGroup, Commands
 from bench.config.devices import FOLDERS
 from bench.services.errors import Refused
 from bench.services.requests import shared
@@ -33,23 +26,21 @@ devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default
 """The folders that `--devices` names, as they were typed."""
 
 
-def with_own_parts(command: Any) -> Any:
-    """Return a command with options added for the user's own devices and effects, and for the language.
+def _own_parts(command: str, takes: set[str]) -> Iterator[inspect.Parameter]:
+    """Yield options for the user's own devices and effects, and for the language.
 
-    `--devices` is added if the command uses a bench file, `--effects` if it uses a bench file or a model,
+    `--devices` is for a command that takes a bench file, `--effects` for one that takes a bench file or a model,
     `--language` for the commands of `SPEAKING`.
     """
-    takes = {parameter.name for parameter in command.params}
-    if command.name == "resume" or "bench" in takes:
+    if command == "resume" or "bench" in takes:
         words = "Folder with your own instrument drivers; its code is run (default: BENCH_DEVICES)."
-        command.params.append(_folder_or_file("devices", "DIR", words, _use_devices))
+        yield _own_option("devices", "DIR", words, _use_devices, list[str] | None)
     if takes & {"bench", "model"}:
         words = "File with your own effects, as formulas (default: BENCH_EFFECTS)."
-        command.params.append(_folder_or_file("effects", "FILE", words, _use_effects))
-    if command.name in SPEAKING:
+        yield _own_option("effects", "FILE", words, _use_effects, list[str] | None)
+    if command in SPEAKING:
         words = f"Language of page and prompts: {', '.join(LANGUAGES)} (default: BENCH_LANGUAGE, English)."
-        command.params.append(_own_option("language", "CODE", words, _use_language, str | None))
-    return command
+        yield _own_option("language", "CODE", words, _use_language, str | None)
 
 
 SPEAKING: Final = ("run", "resume", "report", "diagnose")
@@ -63,47 +54,25 @@ def _use_language(ctx: typer.Context, name: str | None) -> None:
         ctx.with_resource(speaking(name))
 
 
-def _folder_or_file(name: str, metavar: str, words: str, use: Callable[..., None]) -> Any:
-    """Return a repeatable option `--name` with folders or files as values; the callback `use` receives them."""
-    return _own_option(name, metavar, words, use, list[str] | None)
-
-
-def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> Any:
-    """Return an option `--name` with values of the type `of`; the callback `use` receives them.
-
-    The library can derive an option only from a function, so a temporary one is made.
-    """
-    told = typer.Option(
+def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> inspect.Parameter:
+    """Return an option `--name` with values of the type `of`; the callback `use` receives them."""
+    info: Any = typer.Option(
         f"--{name}", metavar=metavar, help=words, expose_value=False, callback=use, rich_help_panel=MORE
     )
-    kind = inspect.Parameter.KEYWORD_ONLY
-    parameter = inspect.Parameter(name, kind, default=None, annotation=Annotated[of, told])
-
-    def command(**_: Any) -> None:
-        pass
-
-    command.__signature__ = inspect.Signature([parameter])  # type: ignore[attr-defined]
-    command.__annotations__ = {name: parameter.annotation}
-    alone = typer.Typer()
-    alone.command()(command)
-    return next(option for option in typer.main.get_command(alone).params if option.name == name)
+    return inspect.Parameter(
+        name, inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Annotated[of, info]
+    )
 
 
 def _use_effects(ctx: typer.Context, files: list[str] | None) -> None:
     """Register the effects in files and in the environment (BENCH_EFFECTS) for the duration of the command."""
     if not ctx.resilient_parsing and (files or os.environ.get("BENCH_EFFECTS")):
-        ctx.with_resource(_effects_of(files or ()))
+        from bench.config.formulas import ENVIRONMENT, effects_in, files_of_environment
+        from bench.model import CATALOGUE
 
-
-@contextmanager
-def _effects_of(files: Sequence[str]) -> Iterator[None]:
-    from bench.config.formulas import ENVIRONMENT, effects_in, files_of_environment
-    from bench.model import CATALOGUE
-
-    every = [*files, *files_of_environment()]
-    # worker processes read them from the environment
-    with CATALOGUE.also(effects_in(every)), _environment(ENVIRONMENT, every):
-        yield
+        every = [*(files or ()), *files_of_environment()]
+        ctx.with_resource(CATALOGUE.also(effects_in(every)))
+        ctx.with_resource(_environment(ENVIRONMENT, every))  # worker processes read them from there
 
 
 def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
@@ -112,17 +81,9 @@ def _use_devices(ctx: typer.Context, folders: list[str] | None) -> None:
         if not Path(folder).is_dir():
             raise typer.BadParameter(f"{folder}: no such folder; create it or name another")
     if folders:
-        ctx.with_resource(_devices_of(folders))
-
-
-@contextmanager
-def _devices_of(folders: Sequence[str]) -> Iterator[None]:
-    typed = devices_given.set(tuple(folders))
-    try:
-        with _environment(FOLDERS, [*folders, *filter(None, [os.environ.get(FOLDERS)])]):
-            yield
-    finally:
-        devices_given.reset(typed)
+        typed = devices_given.set(tuple(folders))
+        ctx.call_on_close(lambda: devices_given.reset(typed))
+        ctx.with_resource(_environment(FOLDERS, [*folders, *filter(None, [os.environ.get(FOLDERS)])]))
 
 
 @contextmanager
@@ -137,8 +98,6 @@ def _environment(name: str, paths: Sequence[str]) -> Iterator[None]:
         if before is not None:
             os.environ[name] = before
 
-
-COMPLETED_BY.append(with_own_parts)
 
 app = typer.Typer(
     name="bench",
@@ -162,34 +121,6 @@ def group(name: str, example: str, cls: type[CommandGroup] = CommandGroup) -> ty
         epilog=f"Example: {example}",
         help=COMMANDS[name],
     )
-
-
-_PLACEHOLDERS: Final = (ESTIMATORS_TOLD, ESTIMATORS_IN_A_BUDGET)
-
-
-class WithEstimators(BenchCommand):
-    """A command whose help names the estimators.
-
-    The names are looked up only for the help, because a look-up takes a second.
-    """
-
-    def get_help(self, ctx: Any) -> str:
-        """Return the help with the names of the estimators."""
-        from bench.calibration.estimators import estimators_in_words
-
-        named = [
-            option
-            for option in self.params
-            if isinstance(option, TyperOption) and option.help in _PLACEHOLDERS
-        ]
-        placeholders = [option.help for option in named]
-        try:
-            for option in named:
-                option.help = estimators_in_words(budget=option.help == ESTIMATORS_IN_A_BUDGET)
-            return super().get_help(ctx)
-        finally:  # a later call may know further estimators
-            for option, text in zip(named, placeholders, strict=True):
-                option.help = text
 
 
 def _writable(target: str | None) -> str | None:
@@ -230,6 +161,8 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
 
     @wraps(command)
     def call(**given: Any) -> int:
+        for one in own:  # their callbacks used them
+            given.pop(one.name)
         mine = {field.name: given.pop(field.name) for field in fields}
         for field in fields:
             if field.name in older:
@@ -241,6 +174,8 @@ def requested(command: Callable[..., int]) -> Callable[..., int]:
 
     # parameters without a default come first, as Python requires
     signature = sorted([*made, *older.values(), *others], key=lambda one: one.default is not NOT_GIVEN)
+    own = list(_own_parts(command.__name__, {one.name for one in signature}))
+    signature += own
     call.__signature__ = inspect.Signature(signature, return_annotation=int)  # type: ignore[attr-defined]
     call.__annotations__ = {one.name: one.annotation for one in signature} | {"return": int}
     del call.__wrapped__
@@ -321,7 +256,7 @@ def _flags(field: RequestField) -> tuple[str, ...]:
 
 
 def command(
-    example: str, name: str | None = None, *, to: typer.Typer = app, cls: type[BenchCommand] = BenchCommand
+    example: str, name: str | None = None, *, to: typer.Typer = app
 ) -> Callable[[Callable[..., int]], Callable[..., int]]:
     """Return a decorator that makes a function a command, with an example in its help.
 
@@ -331,7 +266,7 @@ def command(
     def entered(function: Callable[..., int]) -> Callable[..., int]:
         with_request = any(_requests(get_type_hints(function, include_extras=True)))
         whole = requested(function) if with_request else function
-        to.command(name, cls=cls, epilog=f"Example: {example}")(whole)
+        to.command(name, cls=BenchCommand, epilog=f"Example: {example}")(whole)
         KNOWN[whole] = to.registered_commands[-1]
         return whole
 

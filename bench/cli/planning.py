@@ -10,7 +10,7 @@ import typer
 
 from bench.base.text import as_typed
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, WithEstimators, command, devices_given
+from bench.cli.options import JsonOption, OutOption, command, devices_given
 from bench.services.errors import Refused, refusing
 from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
 
@@ -100,7 +100,7 @@ def init(request: Init) -> int:
     return 0
 
 
-@command("bench budget paper --bench my-bench.yaml --estimator closed-form", cls=WithEstimators)
+@command("bench budget paper --bench my-bench.yaml --estimator closed-form")
 def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> int:
     """Compute what each error of the bench contributes to coefficients and accelerations.
 
@@ -132,7 +132,7 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
             printing.written("figure", file, out)
 
 
-@command("bench require paper --accuracy 3e-4 --estimator closed-form", cls=WithEstimators)
+@command("bench require paper --accuracy 3e-4 --estimator closed-form")
 def require(request: Require, json: JsonOption = None) -> int:
     """Compute how large each error of the bench may be for a required accuracy.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -166,14 +167,7 @@ class BenchOrBlock:
     @property
     def benches_apart(self) -> tuple[OutlyingEffect, ...]:
         """The significant effects of benches, the most significant first."""
-        found = [
-            OutlyingEffect(
-                self.benches[b], COEFFICIENTS[k], float(self.effect[b, k]), float(self.u[b, k]), float(p)
-            )
-            for (b, k), p in np.ndenumerate(self.p_all_looks)
-            if p < SHOWN_P
-        ]
-        return tuple(sorted(found, key=lambda one: one.p_all_looks))
+        return _apart(self.benches, self.effect, self.u, self.p_all_looks)
 
     @property
     def answer(self) -> str:
@@ -223,7 +217,8 @@ def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
     chosen = _chosen(columns)
     of_bench = np.sqrt(np.mean(measured.meters**2 + measured.gravity**2, axis=0))
     sizes = _sizes(columns, chosen, of_bench)
-    effect, u = (np.stack(part, axis=1) for part in zip(*(_effects(one) for one, _ in chosen), strict=True))
+    effect = np.stack([one.bench[0] for one, _ in chosen], axis=1)
+    u = np.stack([u_of(one.bench[1]) for one, _ in chosen], axis=1)
     effect[crossing.alone()] = np.nan
     told = ~np.isnan(effect)
     p = np.full(effect.shape, np.nan)
@@ -326,27 +321,24 @@ def _size(found: Crossed, which: int, p: float = float("nan")) -> EstimatedSize:
     return EstimatedSize(value, u, limit, p)
 
 
-def _effects(found: Crossed) -> tuple[Floats, Floats]:
-    effect, covariance = found.bench
-    return effect, u_of(covariance)
-
-
 def _units_apart(found: list[Crossed], columns: list[_Column], units: Labels) -> tuple[OutlyingEffect, ...]:
-    rows = []
-    for one, column in zip(found, columns, strict=True):
-        whole = one if np.isfinite(one.sizes[UNIT]) else column.fit()
-        rows.append(whole.unit())
-    score = np.stack([z for _, z in rows], axis=1)
+    rows = [
+        (one if np.isfinite(one.sizes[UNIT]) else column.fit()).unit()
+        for one, column in zip(found, columns, strict=True)
+    ]
+    effect, score = (np.stack(part, axis=1) for part in zip(*rows, strict=True))
     p = holm(special.erfc(np.abs(score).ravel() / np.sqrt(2.0))).reshape(score.shape)
-    apart = []
-    for j, k in zip(*np.nonzero(p < SHOWN_P), strict=True):
-        effect = float(rows[k][0][j])
-        apart.append(
-            OutlyingEffect(
-                str(units[j]), COEFFICIENTS[k], effect, effect / float(score[j, k]), float(p[j, k])
-            )
-        )
-    return tuple(sorted(apart, key=lambda one: one.p_all_looks))
+    u = np.divide(effect, score, out=np.zeros_like(effect), where=score != 0.0)
+    return _apart(units.tolist(), effect, u, p)
+
+
+def _apart(names: Sequence[str], effect: Floats, u: Floats, p: Floats) -> tuple[OutlyingEffect, ...]:
+    """Return the significant effects, most significant first; arrays have a row per name, (n, 12)."""
+    found = [
+        OutlyingEffect(names[i], COEFFICIENTS[k], float(effect[i, k]), float(u[i, k]), float(p[i, k]))
+        for i, k in zip(*np.nonzero(p < SHOWN_P), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda one: one.p_all_looks))
 
 
 def _notes(crossing: Crossing, benches: Labels, sizes: tuple[Sizes, ...]) -> tuple[str, ...]:

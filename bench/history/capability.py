@@ -18,25 +18,13 @@ from bench.stats.unit_histories import CalibrationSpread, Histories, Within, his
 
 EVERYDAY: Final = 0.5
 """The default quantile of the stated u: the median."""
-
-
 CONFIDENCE: Final = 0.95
-
-
 LEAST_CALIBRATIONS: Final = 20
-
-
 LEAST_REPEATS: Final = 10
 """Least number of repeated calibrations: their standard deviation then has a relative uncertainty of 22 %."""
-
-
 LEAST_DAYS: Final = 180
-
-
 LEAST_RUNS: Final = 3
 """Least number of runs of a unit from which its drift is estimated."""
-
-
 YEAR: Final = np.timedelta64(31_557_600, "s")
 
 

@@ -243,7 +243,7 @@ class ControlChart:
     `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a
     run is NaN. `alone` (m,) is the p-value of each baseline run compared with the other runs; it is None if there
     are too few. `verdicts` holds the verdict on each later run, in order. `known` is the drift of the block since
-    `begun` (POSIX time, s), None if unknown.
+    `begun` (POSIX time, s), zero if unknown.
     """
 
     design: ChartDesign
@@ -259,8 +259,8 @@ class ControlChart:
     alone: Floats | None
     verdicts: tuple[Verdict, ...]
     notes: tuple[str, ...]
-    begun: float = 0.0
-    known: KnownDrift | None = None
+    begun: float
+    known: KnownDrift
 
     def expected(self, when: datetime) -> tuple[Floats, Floats]:
         """Return the expected values of a further run at the time `when`, and the covariance of deviations.
@@ -271,16 +271,11 @@ class ControlChart:
         The standard uncertainty of the drift grows in proportion to the time since `begun`.
         """
         years = (when.timestamp() - self.begun) / SECONDS_PER_YEAR
-        lines, value = _Lines(self.begun, self.known), self.centre.value
-        u = lines.u(len(value))
-        if self.known is not None:
-            value = value + years * self.known.per_year
+        value, u = self.centre.value + years * self.known.per_year, self.known.u
         if self.drift is not None:
             shown = self.drift.p < ALIKE_P
-            value, u = (
-                value + years * np.where(shown, self.drift.per_year, 0.0),
-                np.where(shown, self.drift.u, u),
-            )
+            value = value + years * np.where(shown, self.drift.per_year, 0.0)
+            u = np.where(shown, self.drift.u, u)
         scale = np.asarray(self.centre.scale)
         between = self.centre.scatter
         if between is None:
@@ -339,121 +334,88 @@ def control_chart(
     later = tuple(sorted(later, key=lambda run: run.when))
     if reference is None and not baseline:
         raise CalibrationError("a chart needs a baseline: measure the check block first")
-    pooled = _Pooled(baseline, later)
     begun = (
         np.mean([run.when.timestamp() for run in baseline])
         if reference is None
         else reference.when.timestamp()
     )
-    lines = _Lines(float(begun), drift)
+    size = len(baseline[0].value if reference is None else reference.value)
+    runs = _Runs(baseline, later, float(begun), drift or KnownDrift(np.zeros(size), np.zeros(size)), design)
     if reference is None:
-        values = lines.without(baseline)
-        covariances = pooled.of(baseline)
-        centre = centre_of(values, covariances, design.basis)
-        alone = without_one(values, covariances, design.basis)
+        centre = centre_of(runs.values(baseline), runs.covariances(baseline), design.basis)
+        alone = without_one(runs.values(baseline), runs.covariances(baseline), design.basis)
     else:
         # lasting errors of this bench are part of every difference from a reference measured on another bench
         lasting = np.mean([run.lasting + run.of_meters for run in (*baseline, *later)], axis=0)
         one = np.ones(())
         centre = Centre(reference.value, reference.covariance + lasting, one, np.inf, 1)
         alone = None
-    judged = _Judging(centre, lines, pooled, baseline, design)
-    shewhart = judged.shewhart(later)
-    ewma = judged.ewma(later, shewhart, restarted)
-    short = _short_term(later, baseline)
+    shewhart = runs.judged(centre, later, 1.0)
     chart = ControlChart(
-        design, baseline, reference, later, centre, shewhart, ewma, short,
-        _components(baseline, pooled, lines), _drift(baseline, later, shewhart, centre, pooled, lines, design),
-        alone, (), (), float(begun), drift,
+        design, baseline, reference, later, centre, shewhart, runs.ewma(centre, shewhart, restarted),
+        runs.short_term(), runs.components(), runs.drift_seen(centre, shewhart), alone, (), (), runs.begun,
+        runs.known,
     )  # fmt: skip
     verdicts = tuple(Verdict(run.name, run.when, reasons_of(chart, row)) for row, run in enumerate(later))
     return replace(chart, verdicts=verdicts, notes=notes_of(chart))
 
 
-class _Pooled:
-    """The covariance of each design of run, pooled over its baseline runs or, if there are none, its later runs."""
+@dataclass(frozen=True)
+class _Runs:
+    """The runs of a chart, and the known drift of the block since `begun` (POSIX time, s)."""
 
-    def __init__(self, baseline: Sequence[CheckRun], later: Sequence[CheckRun]) -> None:
-        self._by_design: dict[str, Floats] = {}
-        for runs in (later, baseline):
-            for design in {run.design for run in runs}:
-                own = [run.covariance for run in runs if run.design == design]
-                self._by_design[design] = np.mean(own, axis=0)
-
-    def of(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the pooled covariance of each run, (n, 12, 12)."""
-        p = len(next(iter(self._by_design.values()), COEFFICIENTS))
-        return np.array([self._by_design[run.design] for run in runs]).reshape(-1, p, p)
-
-
-class _Lines:
-    """The known drift of the block since the time `begun` (POSIX, s); zero if no drift is known."""
-
-    def __init__(self, begun: float, drift: KnownDrift | None) -> None:
-        self._begun, self._drift = begun, drift
+    baseline: tuple[CheckRun, ...]
+    later: tuple[CheckRun, ...]
+    begun: float
+    known: KnownDrift
+    design: ChartDesign
 
     def years(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the time of each run in years since `begun`, (n,)."""
-        return np.array([(run.when.timestamp() - self._begun) / SECONDS_PER_YEAR for run in runs])
+        return np.array([(run.when.timestamp() - self.begun) / SECONDS_PER_YEAR for run in runs])
 
-    def without(self, runs: Sequence[CheckRun]) -> Floats:
+    def values(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the values (n, 12) minus the known drift."""
-        values = np.array([run.value for run in runs])
-        if self._drift is None:
-            return values
-        return values - self.years(runs)[:, None] * self._drift.per_year
+        return np.array([run.value for run in runs]) - self.years(runs)[:, None] * self.known.per_year
 
-    def error(self, runs: Sequence[CheckRun]) -> Floats:
-        """Return the change (n, 12, 12) of each run's values if one coefficient's drift rate is wrong by one
-        u.
-        """
-        return self.years(runs)[:, None, None] * np.diag(self.u(len(runs[0].value)))
+    @cached_property
+    def _pooled(self) -> dict[str, Floats]:
+        """The covariance of each design of run, pooled over its baseline runs or else its later runs."""
+        return {
+            design: np.mean([run.covariance for run in runs if run.design == design], axis=0)
+            for runs in (self.later, self.baseline)
+            for design in {run.design for run in runs}
+        }
 
-    def u(self, size: int) -> Floats:
-        """Return the standard uncertainty of the known drift in a year, (size,)."""
-        return np.zeros(size) if self._drift is None else self._drift.u
-
-
-@dataclass(frozen=True)
-class _Judging:
-    centre: Centre
-    lines: _Lines
-    pooled: _Pooled
-    baseline: Sequence[CheckRun]
-    design: ChartDesign
-
-    def shewhart(self, runs: Sequence[CheckRun]) -> JudgedDeviations:
-        return self._judged(runs, 1.0)
+    def covariances(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return the pooled covariance of each run, (n, 12, 12)."""
+        return np.array([self._pooled[run.design] for run in runs])
 
     def ewma(
-        self, runs: Sequence[CheckRun], shewhart: JudgedDeviations, restarted: datetime | None
+        self, centre: Centre, shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
-        """Return the EWMA of the runs that T² does not reject; it starts again at `restarted`."""
+        """Return the EWMA of the later runs that T² does not reject; it starts again at `restarted`."""
         kept = shewhart.p_joint >= self.design.alpha
-        after = np.array([restarted is not None and run.when >= restarted for run in runs], dtype=bool)
-        p = self.centre.dimensions
-        columns = [np.full((len(runs), p), np.nan) for _ in range(4)]
-        joint = [np.full(len(runs), np.nan) for _ in range(2)]
+        after = np.array([restarted is not None and run.when >= restarted for run in self.later], dtype=bool)
+        columns = [np.full_like(shewhart.deviation, np.nan) for _ in range(4)]
+        joint = [np.full(len(self.later), np.nan) for _ in range(2)]
         for part in (kept & ~after, kept & after):
             rows = np.flatnonzero(part)
-            found = self._judged([runs[int(row)] for row in rows], self.design.smoothing)
+            found = self.judged(centre, [self.later[int(row)] for row in rows], self.design.smoothing)
             for column, own in zip(columns, (found.deviation, found.u, found.z, found.p), strict=True):
                 column[rows] = own
             joint[0][rows], joint[1][rows] = found.t2, found.p_joint
         return JudgedDeviations(*columns, *joint)
 
-    def _judged(self, runs: Sequence[CheckRun], smoothing: float) -> JudgedDeviations:
-        p = self.centre.dimensions
+    def judged(self, centre: Centre, runs: Sequence[CheckRun], smoothing: float) -> JudgedDeviations:
         if not runs:
-            rows = np.zeros((0, p))
+            rows = np.zeros((0, centre.dimensions))
             return JudgedDeviations(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
-        shared = np.concatenate([self.lines.error(runs), self._other_meters(runs)], axis=2)
+        # change of the values if the drift rate of one coefficient is wrong by one u
+        of_drift = self.years(runs)[:, None, None] * np.diag(self.known.u)
+        shared = np.concatenate([of_drift, self._other_meters(runs)], axis=2)
         return judge(
-            self.centre,
-            self.lines.without(runs),
-            self.pooled.of(runs),
-            smoothing,
-            shared if shared.any() else None,
+            centre, self.values(runs), self.covariances(runs), smoothing, shared if shared.any() else None
         )
 
     def _other_meters(self, runs: Sequence[CheckRun]) -> Floats:
@@ -466,56 +428,43 @@ class _Judging:
             parts.append(_root(2.0 * run.of_meters) if other else np.zeros_like(run.of_meters))
         return np.array(parts)
 
+    def short_term(self) -> ShortTerm | None:
+        behind = [run for run in self.baseline if run.s_dof > 0]
+        if not behind or not self.later:
+            return None
+        later, before = (
+            np.array([[run.s for run in runs], [run.s_dof for run in runs]]) for runs in (self.later, behind)
+        )
+        return short_term(*later, *before)
+
+    def components(self) -> Components | None:
+        runs, size = self.baseline, len(self.known.u)
+        if len(runs) < least_runs("scaled", size) or len({run.design for run in runs}) > 1:
+            return None
+        noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
+        return components_of(self.values(runs), self.covariances(runs)[0], noise)
+
+    def drift_seen(self, centre: Centre, shewhart: JudgedDeviations) -> DriftSeen | None:
+        """Return the drift of the baseline and accepted runs in excess of the known drift.
+
+        The u of the result includes the u of the known drift. The result is None if the runs are too few, their
+        time span is too short, or their meters differ.
+        """
+        accepted = shewhart.p_joint >= self.design.alpha
+        runs = [*self.baseline, *(run for run, good in zip(self.later, accepted, strict=True) if good)]
+        if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:
+            return None
+        years = np.array([run.when.timestamp() for run in runs]) / SECONDS_PER_YEAR
+        if np.ptp(years) < LEAST_SPAN_YEARS:
+            return None
+        if centre.scatter is not None:
+            u = np.sqrt(np.diag(centre.scatter))
+        else:
+            u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in self.covariances(runs)], axis=0))
+        return drift_of(years, self.values(runs), u, centre.dof, self.known.u)
+
 
 def _root(covariance: Floats) -> Floats:
     """Return a square root of a covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(covariance)
     return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
-
-
-def _short_term(later: Sequence[CheckRun], baseline: Sequence[CheckRun]) -> ShortTerm | None:
-    behind = [run for run in baseline if run.s_dof > 0]
-    if not behind or not later:
-        return None
-    return short_term(
-        np.array([run.s for run in later]),
-        np.array([run.s_dof for run in later]),
-        np.array([run.s for run in behind]),
-        np.array([run.s_dof for run in behind]),
-    )
-
-
-def _components(baseline: Sequence[CheckRun], pooled: _Pooled, lines: _Lines) -> Components | None:
-    size = len(baseline[0].value) if baseline else 0
-    if not size or len(baseline) < least_runs("scaled", size) or len({run.design for run in baseline}) > 1:
-        return None
-    noise = np.sqrt(np.mean([run.noise**2 for run in baseline], axis=0))
-    return components_of(lines.without(baseline), pooled.of(baseline)[0], noise)
-
-
-def _drift(
-    baseline: Sequence[CheckRun],
-    later: Sequence[CheckRun],
-    shewhart: JudgedDeviations,
-    centre: Centre,
-    pooled: _Pooled,
-    lines: _Lines,
-    design: ChartDesign,
-) -> DriftSeen | None:
-    """Return the drift of the baseline and accepted runs in excess of the known drift.
-
-    The u of the result includes the u of the known drift. The result is None if the runs are too few, their time
-    span is too short, or their meters differ.
-    """
-    kept = [run for run, p in zip(later, shewhart.p_joint, strict=True) if p >= design.alpha]
-    runs = [*baseline, *kept]
-    if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:
-        return None
-    years = np.array([run.when.timestamp() for run in runs]) / SECONDS_PER_YEAR
-    if np.ptp(years) < LEAST_SPAN_YEARS:
-        return None
-    if centre.scatter is not None:
-        u = np.sqrt(np.diag(centre.scatter))
-    else:
-        u = np.sqrt(float(centre.scale) * np.mean([np.diag(c) for c in pooled.of(runs)], axis=0))
-    return drift_of(years, lines.without(runs), u, centre.dof, lines.u(centre.dimensions))

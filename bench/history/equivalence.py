@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from typing import Final
 
 import numpy as np
@@ -217,20 +218,19 @@ def pairs(of: Participants) -> tuple[Pair, ...]:
     found = []
     benches = int(of.bench.max()) + 1
     seen = [set(of.unit[of.bench == b].tolist()) for b in range(benches)]
-    for i in range(benches):
-        for j in range(i + 1, benches):
-            common = sorted(seen[i] & seen[j])
-            if not common:
-                continue
-            rows = np.flatnonzero(np.isin(of.unit, common) & np.isin(of.bench, (i, j)))
-            _, unit = np.unique(of.unit[rows], return_inverse=True)
-            columns = np.column_stack([np.eye(len(common))[unit], of.bench[rows] == i])
-            weighed = linalg.solve(of.covariance[np.ix_(rows, rows)], columns, assume_a="pos")
-            covariance = np.linalg.inv(columns.T @ weighed)
-            to_difference = np.zeros(len(of.y))
-            to_difference[rows] = covariance[-1] @ weighed.T
-            u = float(np.sqrt(covariance[-1, -1]))
-            found.append(Pair(i, j, len(common), float(to_difference @ of.y), u, to_difference))
+    for i, j in combinations(range(benches), 2):
+        common = sorted(seen[i] & seen[j])
+        if not common:
+            continue
+        rows = np.flatnonzero(np.isin(of.unit, common) & np.isin(of.bench, (i, j)))
+        _, unit = np.unique(of.unit[rows], return_inverse=True)
+        columns = np.column_stack([np.eye(len(common))[unit], of.bench[rows] == i])
+        weighed = linalg.solve(of.covariance[np.ix_(rows, rows)], columns, assume_a="pos")
+        covariance = np.linalg.inv(columns.T @ weighed)
+        to_difference = np.zeros(len(of.y))
+        to_difference[rows] = covariance[-1] @ weighed.T
+        u = float(np.sqrt(covariance[-1, -1]))
+        found.append(Pair(i, j, len(common), float(to_difference @ of.y), u, to_difference))
     return tuple(found)
 
 
@@ -424,9 +424,7 @@ class Drift:
     @property
     def p(self) -> float:
         """The p-value of the joint test that nothing changed: chi-square, or F if `dof` is finite."""
-        scaled = self.change / u_of(self.covariance)
-        scale = np.outer(u_of(self.covariance), u_of(self.covariance))
-        chi2, k = float(scaled @ np.linalg.solve(self.covariance / scale, scaled)), len(self.change)
+        chi2, k = chi_square(self.change, self.covariance), len(self.change)
         return float(stats.chi2.sf(chi2, k) if np.isinf(self.dof) else stats.f.sf(chi2 / k, k, self.dof))
 
 

@@ -134,26 +134,11 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
     return LikelihoodPoint(value + float(off @ off), score - off / spread, information, means, covariance)
 
 
-@dataclass(frozen=True)
-class VarianceEstimate:
-    """The variances (k,), in units of the stated ones, that maximise the restricted likelihood.
-
-    `information` (k, k) is the observed information, priors included; `at` is the likelihood at the maximum.
-    """
-
-    theta: Floats
-    information: Floats
-    at: LikelihoodPoint
-
-
-def maximise(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> VarianceEstimate:
-    """Return the non-negative variances that maximise the likelihood, with the observed information."""
-    theta = fitted(body, beliefs, start)
-    return VarianceEstimate(theta, observed_information(body, theta, beliefs), at(body, theta, beliefs))
-
-
 def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floats:
-    """Return the variances (k,) that maximise the likelihood, found by Fisher scoring in relative steps."""
+    """Return the non-negative variances (k,) that maximise the likelihood, by Fisher scoring in relative steps.
+
+    They are in units of the stated ones.
+    """
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
     for _ in range(ROUNDS):
@@ -172,7 +157,7 @@ def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floa
 
 
 def observed_information(body: RunSums, theta: Floats, beliefs: Beliefs) -> Floats:
-    """Return the negative second derivatives of ln L (k, k), by differences of the score."""
+    """Return the negative second derivatives of ln L (k, k), priors included, by differences of the score."""
     k = len(theta)
     information = np.zeros((k, k))
     for j in range(k):
@@ -374,8 +359,7 @@ def learn(
     found = agreed(kept, body, noise, beliefs, layout)
     if found.contradicting:
         beliefs, reasons = told_by_runs(found.body, layout, free)
-    shared = maximise(found.body, beliefs)
-    return _learned(found, layout, shared, beliefs, reasons)
+    return _learned(found, layout, fitted(found.body, beliefs), beliefs, reasons)
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
@@ -449,10 +433,11 @@ def _why(body: RunSums, j: int, layout: Layout) -> str:
 
 
 def _learned(
-    found: Agreed, layout: Layout, shared: VarianceEstimate, beliefs: Beliefs, reasons: dict[str, str]
+    found: Agreed, layout: Layout, theta: Floats, beliefs: Beliefs, reasons: dict[str, str]
 ) -> Learned:
     runs, body, noise = found.runs, found.body, found.noise
-    theta, spread = shared.theta, variances_of(shared)
+    there = at(body, theta, beliefs)
+    spread = variances_of(theta, observed_information(body, theta, beliefs))
     names = [*layout.kinds, *(f"drift[{channel}]" for channel in CHANNELS)]
     unit = np.concatenate([layout.stated, np.full(3, layout.walk)])
     variances = tuple(
@@ -461,25 +446,24 @@ def _learned(
             names, theta, np.sqrt(np.diag(spread)), unit, beliefs.held, strict=True
         )
     )
-    means = shared.at.means
     m = len(layout.means)
     scale = np.array(
         [layout.stated[layout.kinds.index(name)] for name, _ in layout.means] + [1.0] * body.waves
     )
     known, noise_dof = known_noise(runs, noise)
     dof = means_dof(body, theta, beliefs, spread)
-    covariance = shared.at.covariance * np.outer(scale, scale)
+    covariance = there.covariance * np.outer(scale, scale)
     remount = {v.name: v.u_next for v in variances[: len(layout.kinds)]}
     wider = np.array([max(nu, 4.0) / (max(nu, 4.0) - 2.0) for nu in dof[:m]])
     known_stand = KnownStand(
-        layout.means, means[:m] * scale[:m],
+        layout.means, there.means[:m] * scale[:m],
         covariance[:m, :m] * np.sqrt(np.outer(wider, wider)), remount, known,
     )  # fmt: skip
     return Learned(
         runs=tuple(run.name for run in runs),
         unit=runs[0].unit,
         keys=layout.means,
-        means=means * scale,
+        means=there.means * scale,
         covariance=covariance,
         means_dof=dof,
         stated=scale[:m] / np.sqrt(beliefs.precision),
@@ -495,19 +479,22 @@ def _learned(
     )
 
 
-def variances_of(shared: VarianceEstimate) -> Floats:
-    """Return the covariance (k, k) of the variances; a variance of zero is uncorrelated with all others."""
-    k = len(shared.theta)
-    inside = np.flatnonzero(shared.theta > 1e-6)
+def variances_of(theta: Floats, information: Floats) -> Floats:
+    """Return the covariance (k, k) of the variances (k,) from their information (k, k).
+
+    A variance of zero is uncorrelated with all others.
+    """
+    k = len(theta)
+    inside = np.flatnonzero(theta > 1e-6)
     spread = np.zeros((k, k))
-    own = shared.information[np.ix_(inside, inside)]
+    own = information[np.ix_(inside, inside)]
     if len(inside):
         size = np.sqrt(np.maximum(np.diag(own), 1e-12))
         spread[np.ix_(inside, inside)] = np.linalg.pinv(
             own / np.outer(size, size), hermitian=True
         ) / np.outer(size, size)
     for j in set(range(k)) - set(inside.tolist()):
-        spread[j, j] = 1.0 / max(abs(shared.information[j, j]), 1e-12)
+        spread[j, j] = 1.0 / max(abs(information[j, j]), 1e-12)
     return spread
 
 

@@ -22,15 +22,9 @@ from bench.stats import chi_square
 
 LEAST_UNITS: Final = 6
 """Least number of units that give a meaningful covariance of twelve coefficients."""
-
-
 CONFLICT_P: Final = 0.01
 """A prior is used only if its agreement with the readings has at least this p-value."""
-
-
 LEAST_DOF: Final = 4.0
-
-
 LEAST_REPEATS: Final = 10
 """The least number of repeated calibrations that determines the scatter of calibrations."""
 

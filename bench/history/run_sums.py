@@ -13,7 +13,7 @@ from scipy import special
 from bench.base.arrays import HOUR, Floats, Ints, rms
 from bench.calibration import gls
 from bench.calibration.calibrate import first_guess, usable_rows
-from bench.calibration.design import FIXED, Problem, make_problem
+from bench.calibration.design import FIXED, make_problem
 from bench.calibration.noise import KnownNoise, RepeatScatter, repeat_groups, scatter_of_repeats, whiten
 from bench.calibration.result import CalibrationError, Noise
 from bench.model.conditions import Conditions
@@ -59,8 +59,7 @@ class RunFit:
         """Return the noise variances (4,) of x, y, z and the setting error by repeats; None for too few."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
-        own = self.scatter
-        return np.asarray(sizes_of(own.matrix[None], own.freedom, own.slope[None], np.array([self.floor]))[0])
+        return _variances(self.scatter, self.floor)
 
 
 def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
@@ -81,14 +80,16 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
     # model effects are fitted in each run by itself, like its coefficients, so the stand does not absorb them
     own = np.concatenate([system.jacobian[:, :, :FIXED], system.jacobian[:, :, FIXED + a :]], axis=2)
     waves = [fit.slope * wave(k * phase)[:, None] for k in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
-    groups = repeat_groups(problem.conditions)
+    groups, mounts = repeat_groups(problem.conditions), problem.conditions.mounts
     return RunFit(
         name=name,
         y=fit.residuals + by_stand @ fit.others[:a],
         X=own,
         stand=by_stand,
-        angles=_angles(problem),
-        levels=_levels(problem),
+        angles=tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in problem.stand),
+        levels=np.array(
+            [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in problem.stand]
+        ).reshape(-1, 2),
         slope=fit.slope,
         waves=np.stack(waves, axis=2),
         walk=_walk(problem.conditions),
@@ -96,16 +97,6 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
         floor=gls.noise_floor(rows.signal, rows.resolution),
         unit=readings.unit,
     )
-
-
-def _angles(problem: Problem) -> tuple[tuple[str, str], ...]:
-    mounts = problem.conditions.mounts
-    return tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in problem.stand)
-
-
-def _levels(problem: Problem) -> Floats:
-    told = [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in problem.stand]
-    return np.array(told).reshape(-1, 2)
 
 
 def _walk(conditions: Conditions) -> Floats:
@@ -300,17 +291,25 @@ def pooled_noise(runs: Sequence[RunFit]) -> Floats:
 
     Raises `CalibrationError` for too few repeats.
     """
-    told = [run.scatter for run in runs if run.scatter.settings]
-    if sum(scatter.settings for scatter in told) < LEAST_SETTINGS:
+    if sum(run.scatter.settings for run in runs) < LEAST_SETTINGS:
         raise CalibrationError(
             "these runs have too few repeats to show their noise; use runs of a procedure with passes"
         )
-    matrix = np.concatenate([scatter.matrix for scatter in told])
-    freedom = np.concatenate([scatter.freedom for scatter in told])
-    slope = np.concatenate([scatter.slope for scatter in told])
-    return np.asarray(
-        sizes_of(matrix[None], freedom, slope[None], np.array([min(run.floor for run in runs)]))[0]
+    return _variances(_pooled_scatter(runs), min(run.floor for run in runs))
+
+
+def _pooled_scatter(runs: Sequence[RunFit]) -> RepeatScatter:
+    told = [run.scatter for run in runs if run.scatter.settings]
+    return RepeatScatter(
+        np.concatenate([one.matrix for one in told]),
+        np.concatenate([one.freedom for one in told]),
+        np.concatenate([one.slope for one in told]),
     )
+
+
+def _variances(scatter: RepeatScatter, floor: float) -> Floats:
+    found = sizes_of(scatter.matrix[None], scatter.freedom, scatter.slope[None], np.array([floor]))
+    return np.asarray(found[0])
 
 
 def scatter_of(runs: Sequence[RunFit], variances: Floats) -> tuple[Floats, Floats]:
@@ -346,11 +345,9 @@ def known_noise(runs: Sequence[RunFit], variances: Floats) -> tuple[KnownNoise, 
     The degrees of freedom of the prior allow for the variation of the noise between runs and the uncertainty
     of this variation.
     """
-    told = [run for run in runs if run.scatter.settings]
-    freedom = np.concatenate([run.scatter.freedom for run in told])
-    slope = np.concatenate([run.scatter.slope for run in told])
-    pooled = _pooled_dof(freedom, slope, variances)
-    each = np.array([_own(run, variances) for run in told])
+    whole = _pooled_scatter(runs)
+    pooled = _pooled_dof(whole.freedom, whole.slope, variances)
+    each = np.array([_own(run, variances) for run in runs if run.scatter.settings])
     spread2 = np.ones(4)
     for j in range(3):
         usable = each[:, 1, j] > 1.0
@@ -370,7 +367,7 @@ LEAST_SHOWN: Final = 0.01
 """A setting error that causes less than this fraction of the noise gets the u of one that causes this fraction."""
 
 
-def _pooled_dof(freedom: Floats, slope: Floats, variances: Floats) -> Floats:
+def _pooled_dof(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
 
     In u(v), a setting error's v has a small lower limit, so that its degrees of freedom stay defined.

@@ -444,12 +444,11 @@ def _written(name: str, inches: tuple[float, float], draw: Callable[[Figure], No
 
 
 def svg_figure(name: str, inches: tuple[float, float], draw: Callable[[Figure], None], alt: str) -> Markup:
-    """Draw a figure and return it as an SVG element, safe for a page; `alt` is its alternative text."""
-    return _inline(svg_file(name, inches, draw), name, inches, alt)
+    """Draw a figure and return it as an SVG element, safe for a page; `alt` is its alternative text.
 
-
-def _inline(svg: str, name: str, inches: tuple[float, float], alt: str) -> Markup:
-    """Convert an SVG file to an element for a page, with unique identifiers and without metadata."""
+    The element has unique identifiers and no metadata.
+    """
+    svg = svg_file(name, inches, draw)
     body = svg[svg.index("<svg") :]
     body = re.sub(r"<!--.*?-->|<metadata>.*?</metadata>|<style.*?</style>", "", body, flags=re.DOTALL)
     body = re.sub(r'\bid="', f'id="{name}-', body)
