@@ -274,9 +274,9 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the u of |a| at one position, g, from the scatter of independent samples: root mean square.
+    """Return the u of |a| at one position, g, from the scatter of samples, which count as independent.
 
-    It is NaN if a table has no `signal_sd`.
+    It is the root mean square over positions and channels; NaN if a table has no `signal_sd`.
     """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):
