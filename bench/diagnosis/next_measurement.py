@@ -113,7 +113,10 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 
 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
-    """Return the readings `first` and then those of a plan (`planned_readings`), at the last temperature."""
+    """Return the readings `first` and then those of a plan (`planned_readings`).
+
+    The temperature stays at its last value in `first` until the plan sets another.
+    """
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
@@ -155,7 +158,10 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The duration of a procedure, and the probability that one name of every tie reaches 1 - `OFTEN`."""
+    """The duration of a procedure, and the probability (`answers`) that it resolves every tie.
+
+    A tie is resolved if one of its names reaches a posterior probability of 1 - `OFTEN`.
+    """
 
     procedure: str
     hours: float
@@ -165,9 +171,10 @@ class Chance:
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
     """Return the probability that further readings give one name of a tie a posterior of 1 - `OFTEN`.
 
-    `odds` maps the name of the find, `first`, and of its rivals to present probabilities; `gained` maps rivals
-    to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the true
-    name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate decides.
+    `odds` maps the name of the find, `first`, and those of its rivals to present probabilities. `gained` maps
+    rivals to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the
+    true name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate
+    decides.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 

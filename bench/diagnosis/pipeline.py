@@ -376,9 +376,10 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 @dataclass(frozen=True)
 class Rival:
-    """A family in place of an effect found: ln of its Bayes factor, whether it is a tie, and what changes.
+    """A family that may be present in place of an effect found.
 
-    `shift` (12 × blocks,) are the changes of the coefficients with it instead, in units of their u.
+    `evidence` is ln of its Bayes factor; `tied` says whether it is a tie. `shift` (12 × blocks,) are the
+    changes of the coefficients, in units of their u, with this family in the model instead.
     """
 
     family: str

@@ -30,9 +30,10 @@ FAINT: Final = 9.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V), at 0 V for several levels, and drift (V/h) of a channel with u, beside the finds.
+    """Zero (V) and drift (V/h) of a channel with u, estimated together with the finds.
 
-    `before_v` and `residual_v` (n,) are residuals without and with them, V.
+    For a reference of several levels, the zero is that at 0 V. `before_v` and `residual_v` (n,), V, are
+    residuals without and with the finds.
     """
 
     channel: str
@@ -48,8 +49,9 @@ class ChannelFit:
 class Forms:
     """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
 
-    `columns` and `starts` (n, h) are as `column_of` and `start_of`; `size` and `variance` are (parts, h). The
-    first forms have `values` of a shape `parameter` with a unit (or None), of probabilities `of_values`.
+    `columns` (n, h) are as `column_of`, `starts` (n, h) as `start_of`; `size` and `variance` (parts, h) are
+    estimates by component. The first forms have the `values` of a shape `parameter` with a unit (None: there is
+    none), with the probabilities `of_values`.
     """
 
     columns: Floats
@@ -64,8 +66,8 @@ class Forms:
     def variance_beside(self, noise: Noise, design: Floats, held: Floats) -> Floats:
         """Return the covariance (p, p) that the unknown form adds to the estimates of other columns.
 
-        These are the first p of `design` (n, p + 1); the last is the data. Deviations of likely forms count
-        from `held`.
+        `design` (n, p + 1) has these p columns, then the data. Deviations count from the estimates with the
+        course in another form, `held` (n, k).
         """
         weight = special.softmax(self.log)
         likely = np.flatnonzero(weight > INSEPARABLE)

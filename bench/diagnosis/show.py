@@ -137,9 +137,10 @@ def label(applied: AppliedEffect) -> str:
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value `stated` by a model that its new estimate contradicts.
+    """Yield a sentence for each value `stated` by a model that its new estimate contradicts, at `HARDLY_EVER`.
 
-    The level is `HARDLY_EVER`; the u of the difference is the root of the difference of the variances.
+    `estimated` are the same effects, estimated again. The u of the difference is the root of the difference of
+    the variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:

@@ -52,7 +52,7 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The root of the sum of squares of parameters of a `unit` that is found in half of all runs.
+    """The size, in `unit`, that half of all runs find: the root of the sum of squares of several parameters.
 
     If `part`, some proportions of the parameters show at no credible size.
     """
