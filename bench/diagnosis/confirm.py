@@ -232,7 +232,8 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    An `InPart` effect keeps its value, which these readings determine no better. Raises as `judged` does.
+    An `InPart` effect keeps its value of the model, which these readings determine no better. Raises
+    `CalibrationError` if the readings could show none of the effects.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]

@@ -48,8 +48,9 @@ SCALES: Final = (0, 3, 5)
 class FreeRows:
     """All N free positions of all sensors, one row each, sorted by sensor.
 
-    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them; `sensor` and
-    `record` (N,) are indices; `origin` (N, 2) is the given table and row; `effects` are those of the model.
+    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them best. `sensor`
+    and `record` (N,) are indices; `origin` (N, 2) are the index of the given table and the row in it. `effects`
+    are those of the model.
     """
 
     tables: tuple[Readings, ...]
@@ -109,8 +110,8 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The model's effects are subtracted and estimated again by `random` columns. In place of mountings, an effect
-    names sensors ("sensor 1"), or none for all.
+    The model's effects are subtracted, and `random` columns estimate them again. In place of mountings, an
+    effect names the sensors on which it acts ("sensor 1"); without a name, it acts on all.
     """
 
     positions: FreeRows

@@ -88,7 +88,8 @@ class Forms:
 class RecordWork:
     """A record of n means, the courses that may explain it, and its trial noises.
 
-    Its channels are evaluated as components (`helmert`). `kept` caches columns by name and shape of an effect.
+    Its c channels are evaluated as c components, their mean and their differences (`helmert`). `kept` is a
+    cache of columns by name and shape of an effect.
     """
 
     record: Record
@@ -150,7 +151,11 @@ class RecordWork:
         return range(len(self.record.channels))
 
     def _in_part(self, courses: Sequence[Variant], part: int) -> tuple[Floats, Floats]:
-        """Return columns and starting states (n, m) in a component; a common size occurs in the mean only."""
+        """Return columns and starting states, each (n, m), of courses in the component `part`.
+
+        A course of one size for all channels is in the mean only, so that m may be less than the number of
+        courses.
+        """
         mine = [course for course in courses if part == 0 or self.of_channels(course)]
         for one in mine:
             if (one.family, one.shape) not in self.kept:
@@ -179,9 +184,10 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each variant (h, d), and of the odds of each family, beside `found`.
+        """Return ln of the Bayes factor of each of h variants (h, d), and of the posterior odds of each family.
 
-        `targets` has, for each component, d data sets as columns (n, d).
+        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns
+        (n, d).
         """
         every = self.candidates.variants
         own = np.array([self.of_channels(one) for one in every])
@@ -233,8 +239,8 @@ class RecordWork:
     ) -> tuple[Floats, Floats]:
         """Return the size of the course `number` and its covariance, in plausible sizes, beside all `courses`.
 
-        Both are by channel, or have one entry for a common size. With `forms`, they are averages over possible
-        forms.
+        Both have an entry for each channel, or one for a common size. With `forms`, they are averages over the
+        possible forms of the course, weighted by likelihood.
         """
         course = courses[number]
         log, size, variance = (

@@ -41,8 +41,10 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `test` compares readings with a simulation without noise; `effects` have the values estimated. `points` are
-    independent of the fit, unless it is `joined`, as an effect shows only there. `repeat` computes `repeated`.
+    `calibration` has the estimates; `effects` are those of the model with values and u estimated here. `test`
+    compares the readings with a simulation without noise. `points` are the errors at verification points,
+    independent of the fit unless it is `joined`, because an effect shows only there. `repeat` computes
+    `repeated`.
     """
 
     model: ForwardModel

@@ -47,7 +47,7 @@ def sheet_u(scale: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and others that explain them equally well.
+    """The supposed mistake that explains the readings best, and others that do so equally well, `equal`.
 
     `p` is an upper limit, suppositions tried over odds: chance gives odds of B with a probability of at most
     1/B.
@@ -170,7 +170,8 @@ class GrossSearch:
         """Return an upper limit of the p-value of a copy with corrected units, `right`, against `recorded`.
 
         It is the number of suppositions (ln: `log_looks`) over the odds of the copy. `log_scaling` is ln of the
-        enlargement of a volume of signals, which converts a density of the copy to one of the recorded signals.
+        factor by which the correction enlarges a volume of signals; it converts a density of corrected signals
+        to one of recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]
