@@ -29,9 +29,10 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    They are: a mounting from a later pass on, each single pass, and each whole mounting of an installation
-    mounted more than once, which mounting angles do not describe. If the effect outlasts a remount (`lasting`),
-    they are also every mounting, and all from each later pass on. Complete mountings have their own label.
+    A set is a mounting from a later pass on, a single pass, or a whole mounting. A whole mounting must be one
+    of several of its installation: otherwise its mounting angles describe the same change. If the effect
+    outlasts a remount (`lasting`), any mounting is a set, too, and everything from a later pass on. A mounting
+    of which all passes are in a set has one label.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -102,7 +103,7 @@ class Column(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """One form that a family may take: channels and mountings in which it acts, and its shape (names, SI).
+    """One form that a family may take: its channels, its mountings, and its shape (names and SI values).
 
     `columns` are indices in `Candidates.columns`; the last `starts` are starting states (`Parameter.start_of`),
     the others `sizes`. For an unnamed family, `where` says where it acts, and `term` is its formula, if any.
@@ -137,9 +138,10 @@ class Variant(NamedTuple):
 class Candidates:
     """All variants that the search compares, with the columns that they need.
 
-    `columns` (N, P) are changes of the rows by plausible sizes, of `kinds`, and `scale` (P,) these sizes in SI,
-    1 for unnamed families. `by_family` are the indices of the variants by family, from `family_starts`;
-    `log_prior` (families,) is ln of the probability that a family is the one that is missing.
+    `columns` (N, P) are the changes of the rows by one plausible size of each parameter, which `kinds`
+    describes; `scale` (P,) are these sizes in SI, 1 for unnamed families. `by_family` has the indices of the
+    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `log_prior`
+    (families,) is ln of the probability that a family is the one that is missing.
     """
 
     columns: Floats
@@ -190,7 +192,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return `plausible_columns`; without a history, all rows are computed once and other mountings are 0."""
+        """Return `plausible_columns`.
+
+        An effect without a history is computed once for all rows, and set to 0 in the rows of other mountings.
+        """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
@@ -225,7 +230,10 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates plus terms of the residual dictionary; a course in one quantity is one family."""
+    """Return the candidates plus the terms of the residual dictionary.
+
+    Terms of one course that act on the same quantity are one family, whatever their channels.
+    """
     columns: list[Floats] = []
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channels, sizes in dictionary(linear):
@@ -277,9 +285,9 @@ def make_candidates(
 ) -> Candidates:
     """Return every effect that the model may lack for these readings, and the unnamed patterns.
 
-    Left out are the effects `absent`, those in volts for other signals, and those of the model. `unit_noise` is
-    the prior size of unnamed patterns, unit of the signal. `mount_sets` and `unnamed` choose mountings and
-    patterns.
+    Left out are effects in `absent`, effects in volts if the signals are not, and effects of the model.
+    `unit_noise` is the prior size of unnamed patterns, unit of the signal. `mount_sets` and `unnamed` choose
+    mountings and patterns; by default they are those of one run.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
@@ -382,7 +390,10 @@ def _add_form(
 def _starts(
     collector: Collector, effect: Effect, shape: tuple[tuple[str, float], ...]
 ) -> dict[int | None, list[int]]:
-    """Add a starting state of standard deviation 1 for each mounting; return the indices of columns by channel."""
+    """Add a column for the starting state of each mounting; return the indices of the columns by channel.
+
+    An amplitude of 1 is the standard deviation of the state if the effect has its plausible size.
+    """
     linear = collector.linear
     index: dict[int | None, list[int]] = {}
     for start in (p for p in effect.parameters if p.start_of):
@@ -482,8 +493,9 @@ OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 @dataclass(frozen=True)
 class KnownBench:
-    """Properties of a bench that exclude effects (None: unknown): a meter for each channel, fixed ranges.
+    """Properties of a bench that exclude effects; None if unknown.
 
+    `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
     `scale_on_axis`: the scale of the head is on the axis of the block, without a gear.
     """
 
@@ -502,7 +514,10 @@ class KnownBench:
         )
 
     def absent(self, readings: Readings) -> dict[str, str]:
-        """Return effects that bench or readings cannot have, with reasons; recorded ranges come first."""
+        """Return the effects that this bench or these readings cannot have, with reasons.
+
+        Voltmeter ranges recorded in the readings take precedence over `fixed_ranges`.
+        """
         fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = _ranges(readings)
         if recorded:

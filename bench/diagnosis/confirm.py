@@ -41,9 +41,9 @@ Word = Literal["confirmed", "changed", "gone"]
 
 @dataclass(frozen=True)
 class Model:
-    """Reduced chi-square, root mean square of the residuals, and that of noise alone, of one fit.
+    """One fit: reduced chi-square, root mean square of the residuals, and the one that noise alone would give.
 
-    The last two are in V for records at a known input (`Confirmation.unit`).
+    Both root mean squares are in g, or in V for records at a known input (`Confirmation.unit`).
     """
 
     reduced: float
@@ -53,10 +53,11 @@ class Model:
 
 @dataclass(frozen=True)
 class EffectNow:
-    """One effect of the model, compared with the new readings, which may not show it (`verdict` None).
+    """One effect of the model, compared with the new readings.
 
-    `p_same` and `p_none` are the p-values of unchanged values and of no effect; `found` and `now`, the values
-    in the model and those of the new readings alone.
+    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of unchanged
+    values, `p_none` that of no effect. `found` are the values in the model; `now`, the values from the new
+    readings alone.
     """
 
     applied: AppliedEffect
@@ -108,9 +109,10 @@ def confirm(
     nominal_scale_factors: Floats | None = None,
     cache: ThresholdCache | None = None,
 ) -> Confirmation:
-    """Compare new readings with the effects of a model, and diagnose them for further ones, as `diagnose`.
+    """Compare new readings with the effects of a model, and diagnose these readings for further effects.
 
-    Raises `CalibrationError` if they do not determine the coefficients, or could not show any of the effects.
+    The arguments are those of `diagnose`. Raises `CalibrationError` if the readings do not determine the
+    coefficients, or could not show any of the effects.
     """
     diagnosis = diagnose(readings, model, stand_u, nominal_scale_factors, cache)
     corrected = diagnosis.mistakes.corrected
@@ -120,20 +122,21 @@ def confirm(
 
 
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
-    """Compare free positions with the effects of a model, and diagnose them for further ones.
+    """Compare free positions with the effects of a model, and diagnose these positions for further effects.
 
-    Raises `CalibrationError` if they do not determine the coefficients, or could not show any of the effects.
+    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
+    effects.
     """
     diagnosis = diagnose_free(tables, None, model)
     return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)
 
 
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
-    """Compare a record at a known input with a model's effects, and diagnose it for further ones.
+    """Compare a record at a known input with the effects of a model, and diagnose it for further effects.
 
-    Root mean squares are in V. Sizes from the record alone are averages over shapes and states that it allows,
-    which their u includes; a jump keeps its time, a supply its rail. Raises `CalibrationError` if the record
-    cannot be evaluated, or could show none of the effects.
+    Root mean squares are in V. Sizes from the record alone are averages over the shapes and starting states
+    that it allows, and u includes their spread; a jump keeps its time, a supply its rail. Raises
+    `CalibrationError` if the record cannot be evaluated, or could show none of the effects.
     """
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
@@ -181,9 +184,9 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Return the comparison of fits without and with (`having`) the effects of the model.
+    """Return the comparison of the fits of two systems, `without` the effects of the model and `having` them.
 
-    Raises `CalibrationError` if the readings could not show any of the effects.
+    `diagnosis` is of the same readings. Raises `CalibrationError` if these could not show any of the effects.
     """
     noise = diagnosis.noise
     after, chi2 = _left(having, noise)
@@ -229,7 +232,8 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    An `InPart` effect keeps its value, which these readings determine no better. Raises as `judged` does.
+    An `InPart` effect keeps its value of the model, which these readings determine no better. Raises
+    `CalibrationError` if the readings could show none of the effects.
     """
     model = linear.model
     whole = [not isinstance(model.effects[one.effect].effect, InPart) for one in linear.problem.effects]
@@ -246,8 +250,9 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 class EstimatedEffects:
     """The m parameters of a model's effects, and how they change in the new readings.
 
-    `plausible` (m,) is in SI, the others are multiples of it: `found` and `u` in the model, `change` to the new
-    estimate, and its `covariance` (m, m), without `u`.
+    `plausible` (m,) are plausible sizes in SI, of which all else are multiples: `found` (m,) and `u` (m,) in
+    the model, `change` (m,) from `found` to the new estimate, and the `covariance` (m, m) of the latter,
+    without `u`.
     """
 
     plausible: Floats
@@ -268,10 +273,10 @@ class EstimatedEffects:
 def judged(
     model: ForwardModel, unknowns: Sequence[EffectUnknown], of: EstimatedEffects
 ) -> tuple[EffectNow, ...]:
-    """Return the verdict on each effect of a model, without `InPart` effects, which have none.
+    """Return the verdict on each effect of a model; `InPart` effects are skipped, as they have none.
 
     `unknowns` describe the m entries of `of`. Raises `CalibrationError` if the readings could not show any of
-    them.
+    the effects.
     """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
@@ -316,9 +321,10 @@ def _shown(
 ) -> tuple[float, float, float, float]:
     """Return size in the model, least size that would show, both in units of noise, `p_same` and `p_none`.
 
-    The parameters `places` are judged in directions (eigenvectors) that the readings determine. Not `apart`,
-    values of several mountings are correlated in the model, which states no correlations: its u in a direction
-    is then at most that of the readings.
+    The parameters with the indices `places` are judged in the directions (eigenvectors of their covariance)
+    that the readings determine. `apart` is false if the values of several mountings are judged together: they
+    are correlated in the model, which states no correlations, so that its u in a direction is taken to be at
+    most that of the readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -342,7 +348,8 @@ def _estimated(
 ) -> tuple[Floats, Floats]:
     """Return the change from the values `found` (m,), in plausible sizes, and its covariance.
 
-    Additional finds are estimated as well, unless they hide the model's effects, whose change they then are.
+    Further finds are estimated as well, but not one that would hide the model's effects: it stands for their
+    change.
     """
     count, columns = len(found), own
     fitted = posterior(linear, columns, diagnosis.noise)

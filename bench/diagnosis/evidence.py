@@ -50,7 +50,10 @@ An effect that would have to be larger is no alias; an effect that shows only be
 
 @dataclass(frozen=True)
 class Data:
-    """Products of whitened residuals r: r^T r, `square` (ratios, sets); A^T r, `along` (ratios, P, sets)."""
+    """Scalar products of data sets r, whitened residuals of N rows, at each noise ratio.
+
+    `square` (ratios, sets) is r^T r; `along` (ratios, P, sets) is A^T r for the P whitened columns A.
+    """
 
     square: Floats
     along: Floats
@@ -113,8 +116,8 @@ class Whitened:
 class Group:
     """The variants with p columns, from whose Gram matrices the known columns are projected out.
 
-    These have the eigenvectors `vectors` (ratios, v, p, p) and `values` (ratios, v, p); `members` (v,) and
-    `columns` (v, p) are indices.
+    The eigenvectors are `vectors` (ratios, v, p, p), the eigenvalues `values` (ratios, v, p); `members` (v,)
+    and `columns` (v, p) are indices of variants and columns.
     """
 
     members: Ints
@@ -134,9 +137,10 @@ class Group:
 class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
-    `inverse` (ratios, k, k) is the inverse Cholesky factor of their Gram matrix with the prior (`KNOWN_SIZE`),
-    `half` (ratios, k, P) its product with the scalar products of all columns, `log_det` (ratios,) their part of
-    ln of the evidence.
+    `inverse` (ratios, k, k) is the inverse Cholesky factor of the Gram matrix of the k known columns with their
+    prior (`KNOWN_SIZE`); `half` (ratios, k, P) is `inverse` times their scalar products with all P columns.
+    `log_det` (ratios,) is the part of ln of the evidence that depends on the known columns, but not on the
+    data.
     """
 
     whitened: Whitened
@@ -327,7 +331,10 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return residuals (N, sets) of a complete model, with noise `sigma` and a noise ratio for each set."""
+    """Return residuals (N, sets) simulated with a complete model, unit of the signal.
+
+    `sigma` is the noise of a reading in this unit; `ratios` (sets,) is the noise ratio of each data set.
+    """
     sets = len(ratios)
     setting = rng.standard_normal((linear.settings, sets)) * ratios / linear.typical_slope
     response = rng.standard_normal((len(linear), sets)) * linear.relative[:, None]
@@ -365,14 +372,18 @@ def fit_tail(evidence: Floats) -> Threshold:
 class ThresholdCache:
     """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    Its name is a hash of all that a threshold depends on: angles (to 1 arcmin), times (10 s), temperatures
-    (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
+    The name of a file is a hash of all that its threshold depends on: angles (to 1 arcmin), times (10 s),
+    temperatures (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
     """
 
     folder: Path | None
 
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
-        """Return the threshold from the cache, or simulate and store it; a folder that is read-only is ignored."""
+        """Return the threshold from the cache, or simulate and store it.
+
+        `setting_rad` is the setting error that the bench file states. A cache that cannot be written is
+        ignored.
+        """
         if self.folder is None:
             return make_threshold(linear, whitened)
         file = self.folder / f"{_key(linear, whitened, setting_rad)}.json"

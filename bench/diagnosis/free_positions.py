@@ -61,8 +61,9 @@ def diagnose_free(
 ) -> FreeDiagnosis:
     """Diagnose free positions of one or several sensors, from which only |a| = 1 g is known.
 
-    Each table is of one sensor in one record; `one_sensor` is as in `make_rows`. Effects of `model` are
-    estimated again. Raises `CalibrationError` if positions do not determine the nine coefficients of a sensor.
+    Each table is of one sensor in one record; `one_sensor` is as in `make_rows`. The effects of `model` are
+    subtracted with their values, and estimated again together with the coefficients. Raises `CalibrationError`
+    if the positions do not determine the nine coefficients of a sensor.
     """
     rows, apart, left_out = without_outliers(make_rows(tables, one_sensor, model))
     linear = make_system(rows)
@@ -226,9 +227,10 @@ def _prepared(linear: FreeSystem) -> tuple[NoiseGrid, Candidates]:
 
 
 def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Floats, int]:
-    """Fit zeros (`drifting`: linear in the row) and scale factors of each record.
+    """Fit zeros and scale factors of each record; `drifting` zeros also change linearly with the row.
 
-    Return the residuals (N,), the fraction (N,) of each error that remains in its residual, and the freedom.
+    Return the residuals (N,), the fraction (N,) of each error that remains in its residual, and the degrees of
+    freedom.
     """
     rows = linear.positions
     cells = sorted(set(zip(rows.sensor.tolist(), rows.record.tolist(), strict=True)))
@@ -247,8 +249,8 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     """Return the positions without outliers, a sentence for each outlier, and their tables and rows (k, 2).
 
-    The largest residual is compared with its prediction from all others, step by step. An outlier is twice as
-    far off as a far reading of a run, as real sensors have heavy tails.
+    Step by step, the position with the largest residual is compared with its prediction from all others. An
+    outlier is twice as far off as a far reading of a run, as real sensors have heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -274,9 +276,9 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the u of |a| at one position, g, from the scatter of independent samples: root mean square.
+    """Return the u of |a| at one position, g, from the scatter of samples, which count as independent.
 
-    It is NaN if a table has no `signal_sd`.
+    It is the root mean square over positions and channels; NaN if a table has no `signal_sd`.
     """
     sizes = []
     for block, table in zip(rows.block, rows.tables, strict=True):

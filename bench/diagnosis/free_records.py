@@ -48,8 +48,9 @@ SCALES: Final = (0, 3, 5)
 class FreeRows:
     """All N free positions of all sensors, one row each, sorted by sensor.
 
-    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them; `sensor` and
-    `record` (N,) are indices; `origin` (N, 2) is the given table and row; `effects` are those of the model.
+    `tables` and `block` have, for each sensor, its positions and the coefficients that fit them best. `sensor`
+    and `record` (N,) are indices; `origin` (N, 2) are the index of the given table and the row in it. `effects`
+    are those of the model.
     """
 
     tables: tuple[Readings, ...]
@@ -109,8 +110,8 @@ class FreeRows:
 class FreeSystem(LinearSystem):
     """Free positions as a linear system: |a| - 1 in g, with nine coefficients for each sensor.
 
-    The model's effects are subtracted and estimated again by `random` columns. In place of mountings, an effect
-    names sensors ("sensor 1"), or none for all.
+    The model's effects are subtracted, and `random` columns estimate them again. In place of mountings, an
+    effect names the sensors on which it acts ("sensor 1"); without a name, it acts on all.
     """
 
     positions: FreeRows
@@ -292,9 +293,10 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
 class BetweenRecords:
     """The changes of biases between records of free positions; each record has a fit of its own.
 
-    `zero` and `u` (sensors, records, 3), g, are NaN where not determined; `scatter` (3,), g, is about the mean
-    of a sensor, `common` (3,) the fraction of its variance that sensors share. `repeats` compares scatter and
-    u, and has the term that widens u.
+    `zero` and `u` (sensors, records, 3), g, are the biases and their standard uncertainties, NaN where not
+    determined. `scatter` (3,), g, is the standard deviation of the biases about the mean of their sensor;
+    `common` (3,) is the fraction of its variance that sensors share, NaN for one sensor. `repeats` compares
+    scatter and u, and has the term that widens u.
     """
 
     zero: Floats
@@ -405,9 +407,10 @@ class FreeFit:
 class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
-    `noise` of |a|, g, is with all finds, `stated_g` from the samples (or NaN). `apart` has a sentence,
-    `left_out` (k, 2) table and row of positions left out. `before` and `after` are fits without and with the
-    finds; `between` has the changes between records.
+    `noise`, g, is that of |a| at a position with all finds in the model; `stated_g`, g, follows from the
+    scatter of the samples, NaN if not stated. `apart` has a sentence for each position left out, `left_out` (k,
+    2) its table and row. `before` and `after` are fits without and with the finds; `between` has the changes
+    between records, None if unknown.
     """
 
     source: str

@@ -40,10 +40,11 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 
 @dataclass(frozen=True)
 class HeldOut:
-    """How well one model predicts the held-out rows, after a fit to all other rows.
+    """How well one model predicts the n held-out rows, after a fit to all other rows.
 
-    `error` (n,) is measured minus predicted, unit of the signal, `error_g` in g; `expected_g` is its standard
-    deviation by noise and estimates; `chi2` has their full covariance.
+    `error` (n,) is measured minus predicted, unit of the signal; `error_g` (n,) is the same in g. `expected_g`
+    (n,) is the standard deviation of `error_g` that noise and uncertain estimates imply. `chi2` is computed
+    with the full covariance of the errors.
     """
 
     error: Floats
@@ -101,7 +102,10 @@ class Gap:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the finds remove; None without an excess."""
+        """The fraction of the excess of reduced chi-square over 1 that the finds remove.
+
+        None if there is no excess, or nothing was held out.
+        """
         return part_closed(self.before, self.after) if self.folds else None
 
     @property
@@ -152,9 +156,9 @@ class Gap:
     def shrinks(self) -> bool | None:
         """Whether held-out readings confirm the finds; None if there are none, or nothing was held out.
 
-        Chi-square must fall by `LEAST_FALL`, for all finds and for each, and `MOSTLY` of its excess must
-        vanish, unless chance explains the rest. Root mean squares do not count, because setting errors dominate
-        them.
+        Chi-square must fall by `LEAST_FALL`, for all finds together and for each. Of the excess of reduced
+        chi-square over 1, `MOSTLY` must vanish, unless chance explains the rest. Root mean squares do not
+        count, because setting errors dominate them.
         """
         if not self.named or not self.folds:
             return None
@@ -241,9 +245,9 @@ def measure_gap(
 ) -> Gap:
     """Hold out each set of rows in turn, `search` the others, and predict the rows held out.
 
-    `whitened`, `naming` and `noise` are of all readings; `setting_rad` is that of the bench file. `parts` are
-    labels and masks (N,), by default passes and moduli (`folds_of`); thirds (`thirds_of`) if the others do not
-    determine the finds or their forms.
+    `whitened`, `naming` and `noise` are of all readings; `setting_rad` is the setting error that the bench file
+    states. `parts` are labels and masks (N,), by default passes and moduli (`folds_of`), or thirds
+    (`thirds_of`) if the rest does not determine the finds or their forms.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
@@ -270,8 +274,9 @@ def _tell(
 ) -> bool:
     """Return whether the readings outside each held-out part show every find and determine its form.
 
-    They contain `MOSTLY` of the square of its signature. They admit no form (at most `ALIAS` unexplained) that
-    all readings exclude (more than `LEAST_FALL`): chance would choose the form that predicts the held-out part.
+    They show a find if they contain `MOSTLY` of the square of its signature. They do not determine its form if
+    they admit one (at most `ALIAS` unexplained) that all readings exclude (more than `LEAST_FALL`): chance
+    would then choose the form that predicts the held-out part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)

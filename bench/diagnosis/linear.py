@@ -30,7 +30,8 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
-    It differs from the bench file by `off_rad` about `axis` (3,) in block axes; `contradicts`: significantly.
+    It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
+    `contradicts` says whether this angle is significant.
     """
 
     block_from_platform: Floats
@@ -53,7 +54,8 @@ def orientation_of(
 ) -> Orientation | None:
     """Return the orientation of the block at the verification points; None if they do not determine it.
 
-    `force` (n, 3) is in block axes; `stand_u`, rad. Wahba's problem by singular values (Markley, 1988).
+    `force` (n, 3), g, is the specific force on block axes; `stand_u` has the standard uncertainties of the
+    stand angles, rad. Source: Wahba's problem, solved by singular values (Markley, 1988).
     """
     rows = np.flatnonzero((readings.installation == VERIFICATION) & np.isfinite(readings.angle_rad))
     if VERIFICATION not in model.installations or len(rows) < 2:
@@ -171,7 +173,10 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square of |du/dphi| over the settings, each channel over its relative noise, per rad."""
+        """Root mean square of |du/dphi| over the settings, unit of the signal per rad.
+
+        Each channel's derivative is divided by the relative noise of the channel.
+        """
         return float(np.sqrt(np.sum((self.slope / self.relative) ** 2) / max(self.settings, 1)))
 
     @cached_property
@@ -196,7 +201,7 @@ class LinearSystem:
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors (N,) from the unit of the signal to g: 1 over scale factor, or the gradient of |a|."""
+        """Factors (N,) from unit of the signal to g: 1 / |scale factor|, or the norm of the gradient of |a|."""
         size = np.empty(len(self))
         for block, mine in self.by_block():
             size[mine] = 1.0 / np.abs(np.diag(block.K))[np.minimum(self.rows.channel[mine], 2)]
@@ -234,11 +239,12 @@ class LinearSystem:
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
     ) -> Floats:
-        """Return linearised changes of the rows by an effect or k time courses (n, k) at one stage.
+        """Return the linearised changes of the rows by an effect (k = 1) or k time courses (n, k) at one stage.
 
-        At the stand or head, a course in rad is added to the angle `adds_to`: (N, k, 1). At the output of the
-        block, it is in g or, `of_force`, a fraction of the force; in the voltmeter, in the unit of the signal:
-        (N, k, 3), by channel. An effect acts in block or voltmeter, whatever the path of the head.
+        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At
+        the output of the block, a course is in g or, with `of_force`, a fraction of the specific force; in the
+        voltmeter, it is in the unit of the signal; the result is (N, k, 3), by channel. An effect must act in
+        block or voltmeter, and must not depend on the path of the head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
@@ -259,7 +265,7 @@ class LinearSystem:
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
-        """The force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head angles."""
+        """The specific force (n, 3) without effects; derivatives (n, 3, 6) of readings by stand and head angles."""
         model, conditions = replace(self.model, effects=()), self.conditions
         still = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
         known = [mount.installation in model.installations for mount in conditions.mounts]
@@ -326,8 +332,8 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
     """Return the linear system of readings of one block, linearised at a first guess of its coefficients.
 
     Rows are three signals for each oriented reading, one modulus for each verification point and free position,
-    then three for each shorted or reference input. `stand_u` are by angle, rad. Raises `CalibrationError` if
-    the oriented readings do not determine the coefficients.
+    then three for each shorted or reference input. `stand_u` has the standard uncertainties of the stand
+    angles, rad. Raises `CalibrationError` if the oriented readings do not determine the coefficients.
     """
     label = readings.installation
     kind_of = np.where(label == VERIFICATION, 1, np.where(label == FREE, 1, 0))

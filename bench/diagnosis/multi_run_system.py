@@ -45,7 +45,8 @@ OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
 class JointSystem(LinearSystem):
     """The joint linear system of several accelerometer blocks on one bench, of their systems `parts`.
 
-    Rows follow these; blocks have own coefficients and share unknowns of the bench; `block` is the first.
+    The rows are those of the parts, in this order. Each block has its own coefficients; unknowns of the bench
+    are common. `block` is the first guess of the first block.
     """
 
     parts: tuple[LinearSystem, ...]
@@ -84,7 +85,7 @@ class JointSystem(LinearSystem):
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the linear system of readings of one or several blocks; else as `make_linear`."""
+    """Return the linear system of readings of one or several blocks; arguments and errors as `make_linear`."""
     if readings.block is None:
         return make_linear(readings, model, stand_u)
     masks = [readings.block == number for number in np.unique(readings.block)]
@@ -134,10 +135,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings with the number of the accelerometer block of each row as `block`; None if one.
+    """Return readings with the number of the accelerometer block of each row as `block`; it is None for one.
 
-    Stated numbers are kept, else coefficients show which runs are of one block; undetermined runs join the
-    first.
+    Stated numbers are kept; else the coefficients show which runs are of one block. A run that does not
+    determine them is assigned to the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
@@ -188,10 +189,10 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Return the mistakes in several runs, each searched by itself, and a copy; else as `find_mistakes`.
+    """Return the mistakes in several runs, each searched by itself, and a copy without them.
 
-    `nominal` is (3,) or (blocks, 3). Runs share the probability of a false alarm; their number multiplies
-    p-values.
+    Arguments and errors are as in `find_mistakes`; `nominal` is (3,) or (blocks, 3). The probability of a false
+    alarm is divided among the runs, and p-values are multiplied by their number.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():
@@ -215,7 +216,8 @@ def find_mistakes_in_each(
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
     """Yield the mask (n,) of rows that are searched together, and the index of their block.
 
-    Runs that do not determine the coefficients of a block join the first run that does, or all others.
+    Each run that determines the coefficients is by itself; other runs of the block join the first of these, or
+    each other if there is none.
     """
     run = readings.run
     block = np.zeros(len(readings), dtype=np.int64) if readings.block is None else readings.block
@@ -243,7 +245,7 @@ OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_dri
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Return the candidates for readings of one or several runs; else as `make_candidates`."""
+    """Return the candidates for readings of one or several runs; arguments as `make_candidates`."""
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)
@@ -255,8 +257,8 @@ def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[st
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield the sets of mountings in which an effect of several runs may act.
 
-    It is common, in one installation, or by block, run or mounting. Single passes are searched by run. The
-    shape of an effect is not fitted to different sizes by block.
+    It is common to all, in one installation, or differs by block, run or mounting. Effects of single passes are
+    searched in each run instead. The shape of an effect is not fitted to different sizes by block.
     """
     readings = linear.readings
     if effect.per_pass:

@@ -37,10 +37,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family beside all other finds, `total` ln of the odds that a
-    family is missing without it, `size` the root of the decrease of chi-square. `odds` are of families in its
-    place, of which `ties` are not excluded and `same` change the readings alike; `plainer_than` include it with
-    more parameters.
+    `evidence` is ln of the Bayes factor of its family beside all other finds. `total` is ln of the odds that a
+    family is missing without it. `size` is the root of the decrease of chi-square. `odds` are those of the
+    families in its place: the readings do not exclude its `ties`, of which `same` change them alike.
+    `plainer_than` are families that include it and need more parameters.
     """
 
     variant: Variant
@@ -129,7 +129,10 @@ class Scored:
         return self.found(max(families, key=lambda family: self.log_odds[family]))
 
     def found(self, family: str) -> FoundEffect:
-        """Return a family as an effect found, in its best form; undetermined mountings all have values."""
+        """Return a family as an effect found, in its most probable form.
+
+        If the readings do not determine the mounting, the form has a value for each.
+        """
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
@@ -163,7 +166,7 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return amplitudes (p,) and Gram matrix (p, p) of a form's columns, the known columns projected out."""
+        """Return amplitudes (p,), in plausible sizes, and Gram matrix (p, p) of a form beside the known columns."""
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -225,8 +228,8 @@ def find(
 ) -> list[FoundEffect]:
     """Return the effects that act in one data set and that the model lacks, after those in `begun`.
 
-    The search ends when the odds of a missing family are below the threshold, or after `most`. Only families of
-    `among` (None: all) are found; the odds include all.
+    The search ends when the odds of a missing family are below the threshold, or after `most` more effects.
+    Only families of `among` (None: all) are found; the odds include all families.
     """
     found, free = list(begun), len(begun)
     while len(found) < most + free:
@@ -271,7 +274,7 @@ def needed(
 ) -> list[FoundEffect]:
     """Return the necessary finds; the first `kept` always stay, and the weakest is tested first.
 
-    Without a necessary one, the odds that some family is missing reach the threshold.
+    Without a necessary find, the odds that some family is missing reach the threshold.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -318,9 +321,10 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the names of the most probable families of `odds`, sorted, among which readings do not decide.
+    """Return the most probable families of `odds` (sorted, the largest first) among which readings do not decide.
 
-    It is the first alone if its probability is 1 - `OFTEN`; else they have 1 - `BY_CHANCE` together.
+    It is the first alone if its probability is at least 1 - `OFTEN`; else so many that they have 1 -
+    `BY_CHANCE` together.
     """
     if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]
@@ -334,7 +338,10 @@ def holding(odds: Sequence[FamilyOdds]) -> list[str]:
 
 
 def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYOND_BELIEF) -> dict[str, int]:
-    """Return the effects of at most `most` that explain `enough` of a signature, with the parameters each needs."""
+    """Return the effects that explain `enough` of a signature, with the number of parameters that each needs.
+
+    Effects that would have to exceed `most` plausible sizes are left out.
+    """
     if not variant.named:
         return {}
     search, ratio = scored.search, scored.ratio

@@ -55,8 +55,9 @@ def planned_readings(
 ) -> Readings:
     """Return the readings that a plan would give on a stand without errors, in the order of measurement.
 
-    They have expected times, `temperature_c` until the plan sets another, and signals of `block` without
-    effects, in `unit`. Raises `KeyError` if the model lacks an installation of the plan.
+    Times are expected ones, at the mains frequency `line_hz`. The temperature is `temperature_c` until the plan
+    sets another. The signals are those of `block` without effects, in `unit`. Raises `KeyError` if the model
+    lacks an installation of the plan.
     """
     reads: list[Read] = []
     states: list[tuple[float, float, float]] = []
@@ -113,7 +114,10 @@ def _signals(table: Readings, model: ForwardModel, block: Block, volts: Floats) 
 
 
 def following(first: Readings, plan: Plan, model: ForwardModel, block: Block, line_hz: float) -> Readings:
-    """Return the readings `first` and then those of a plan (`planned_readings`), at the last temperature."""
+    """Return the readings `first` and then those of a plan (`planned_readings`).
+
+    The temperature stays at its last value in `first` until the plan sets another.
+    """
     known = first.temperature_c[np.isfinite(first.temperature_c)]
     warmth = float(known[-1]) if len(known) else float("nan")
     planned = planned_readings(plan, model, block, temperature_c=warmth, line_hz=line_hz, unit=first.unit)
@@ -155,7 +159,10 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """The duration of a procedure, and the probability that one name of every tie reaches 1 - `OFTEN`."""
+    """The duration of a procedure, h, and the probability (`answers`) that it resolves every tie.
+
+    A tie is resolved if one of its names reaches a posterior probability of 1 - `OFTEN`.
+    """
 
     procedure: str
     hours: float
@@ -165,9 +172,10 @@ class Chance:
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
     """Return the probability that further readings give one name of a tie a posterior of 1 - `OFTEN`.
 
-    `odds` maps the name of the find, `first`, and of its rivals to present probabilities; `gained` maps rivals
-    to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the true
-    name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate decides.
+    `odds` maps the name of the find, `first`, and those of its rivals to present probabilities. `gained` maps
+    rivals to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the
+    true name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate
+    decides.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -240,9 +248,10 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    With ties, it is the shortest that resolves the most ties, or else the fastest to increase D; otherwise the
-    shortest that shows the most hidden effects. `menu` (default: `MENU`) are files without inclusions. Nothing
-    follows a mistake or an unnamed effect.
+    If there are ties, it is the shortest of those that resolve the most ties; if none resolves any, the one
+    with the largest increase of the divergence D per minute. Without ties, it is the shortest of those that
+    show the most hidden effects. `menu` (default: `MENU`) are files; a file that includes others is ignored.
+    Nothing is proposed after a mistake or an unnamed effect.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None
@@ -358,8 +367,8 @@ class _Bill:
     def showing(self) -> Proposal | None:
         """Return the shortest of the procedures that show the most hidden effects; None if none shows any.
 
-        Effects of plausible sizes below the noise are hidden, too. Shown is what half of all runs find at twice
-        its plausible size.
+        Effects with plausible sizes below the noise count as hidden, too. A procedure shows an effect if half
+        of all runs then find it at twice its plausible size.
         """
         diagnosis = self._diagnosis
         half = half_power(diagnosis.whitened, diagnosis.registered.threshold)

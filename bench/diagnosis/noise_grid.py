@@ -61,9 +61,10 @@ class Span:
 class Whitener:
     """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has, for each size n of sets of correlated rows, the indices (b n,) of their rows and matrices (b,
-    n, n) that make these independent, whatever the setting error; `root` (N,) are the factors to equal
-    variance. `fitted` are the orthogonal subspaces that are removed, one for each accelerometer block.
+    `blocks` has a pair for each size n of sets of correlated rows: the indices (b n,) of the rows of b sets,
+    and the matrices (b, n, n) that make their noise independent, whatever the setting error. `root` (N,) are
+    the factors that then make the variances equal. `fitted` are orthogonal subspaces that are removed, one for
+    each accelerometer block.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -131,9 +132,10 @@ class NoiseGrid:
     """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
 
     Each map in `white` takes rows divided by `sigma`, a first estimate of the noise; `freedom` is N minus the
-    coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood without data, `log_prior`
-    that of the ratios; `setting_rad_per_noise` is for noise of one unit of the signal. If `known`, the noise is
-    `sigma`.
+    number of coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood without data;
+    `log_prior` (ratios,) is ln of the prior probabilities. `setting_rad_per_noise` (ratios,) is the setting
+    error, rad, for a noise of one unit of the signal. If `known`, the noise is `sigma`; else its size is
+    unknown.
     """
 
     white: tuple[Whitener, ...]
@@ -145,7 +147,11 @@ class NoiseGrid:
     known: bool = False
 
     def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
-        """Return ln of the likelihood from sums of `square` residuals, over a noise that is not known."""
+        """Return ln of the likelihood, up to a constant, from the sums of squares of whitened residuals, `square`.
+
+        These are in units of `sigma` squared. Unless the noise is known, its size is integrated out. `out` is
+        an array for the result.
+        """
         if self.known:
             return np.multiply(square, -0.5, out=out)
         logarithm: Floats = np.log(square, out=out)
@@ -170,8 +176,9 @@ def make_noise_grid(
 ) -> NoiseGrid:
     """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `sigma` is a first estimate of the noise, unit of the signal; the prior of the ratios follows from
-    `setting_rad`, that of the bench file (0: unknown). Fewer `ratios` save time.
+    `sigma` is a first estimate of the noise, unit of the signal, by which prior u of the unknowns are divided.
+    The prior of the ratios follows from `setting_rad`, the setting error of the bench file (0: unknown). Fewer
+    `ratios` save time.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -346,7 +353,10 @@ class ColumnProducts:
 
 @dataclass(frozen=True)
 class Repeats:
-    """The standard deviation of a reading from repeated settings, unit of the signal; freedom in settings."""
+    """The standard deviation of a reading from repeated settings, unit of the signal.
+
+    `freedom` are its degrees of freedom, counted in settings.
+    """
 
     sigma: float
     freedom: int
@@ -357,8 +367,8 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 
     The fit has a free value for each mounting and angle, a drift for each mounting, and for each pass a bias
     and a wave once per turn, so that changes between passes do not count. Noise and setting error maximise the
-    restricted likelihood. With too few repeats, it is the scatter about the model; it is at least the rounding
-    error of `resolution`.
+    restricted likelihood. With too few repeats, the result is the scatter about the model. It is at least the
+    rounding error of `resolution`, unit of the signal.
     """
     oriented = linear.setting >= 0
     left, slope = (
@@ -460,7 +470,10 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the noise of the rounding error that repeats share, unless negligible."""
+    """Return the system with the noise of the rounding error that repeats share, unless negligible.
+
+    `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
+    """
     if not is_rounded(digit, sigma):
         return linear
     size = repeated(digit, sigma)

@@ -90,7 +90,10 @@ def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Float
 
 
 def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return residuals (N,) beside `effects` (N, m) over relative noise, without the setting error."""
+    """Return residuals (N,) beside `effects` (N, m), unit of the signal, over the relative noise of each row.
+
+    The setting error is removed.
+    """
     left = _fit(linear, effects, noise)[0]
     return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
 
@@ -147,7 +150,10 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 
 
 def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
-    """Yield larger noise in one channel of an installation or pass; its odds pay for the choice and a size."""
+    """Yield the hypothesis of larger noise in one place: a channel of an installation, or of one of its passes.
+
+    The prior odds pay for the choice of the place, and for one more size.
+    """
     places = _larger(linear, left)
     found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
     if found is None:
@@ -170,8 +176,8 @@ def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
 class LocalScatter:
     """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
 
-    `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel; `p`
-    counts all places.
+    `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel. The
+    p-value `p` is corrected for the number of places.
     """
 
     channel: str
@@ -277,10 +283,11 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Slow noise (1/f) of one size, root mean square, unit of the signal, independent in some `channels`.
+    """Slow noise (1/f) in some `channels`, independent in each, of one `size`.
 
-    `columns` (N, k) are one standard deviation of each component; `evidence` is ln of the Bayes factor over all
-    sizes, `cost` ln of the mean over the largest likelihood.
+    `size` is its root mean square, unit of the signal; `columns` (N, k) are changes by one standard deviation
+    of each component. `evidence` is ln of the Bayes factor averaged over sizes; `cost`, ln of the mean over the
+    largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -311,7 +318,10 @@ def _slow(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return slow noise, common to all channels or by channel, that is more probable than none, if any."""
+    """Return slow noise, common to all channels or by channel, that is more probable than none, if any.
+
+    `white` also removes the effects of the model.
+    """
     waves = [_waves(linear, channel) for channel in range(3)]
     all_alike = _likeliest(linear, white, noise.reading, (0, 1, 2), np.hstack(waves))
     # a single channel pays for the choice among three
@@ -361,7 +371,10 @@ def _likeliest(
     columns: Floats,
     choices: int = 1,
 ) -> SlowNoise:
-    """Return the likeliest size of slow noise with draws `columns` (N, k) of unit size, one of `choices`."""
+    """Return the likeliest size of slow noise with draws `columns` (N, k) of root mean square 1.
+
+    The hypothesis is one of as many `choices`.
+    """
     left, inside = white @ (linear.response / sigma), white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
     values = np.maximum(values, 0.0)
@@ -417,7 +430,10 @@ class NoiseKind:
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield departures of the noise from normal noise of one size; `chosen` has words of hypotheses."""
+    """Yield departures of the noise from normal noise of one size.
+
+    `digit` is the step of the last digit of the signals; `chosen` maps accepted noise hypotheses to words.
+    """
     unit = linear.readings.unit
     if np.any(linear.by_channel != 1.0):
         sizes = noise.reading * linear.by_channel

@@ -191,8 +191,9 @@ def _with_far(
 class _Estimated:
     """The joint estimate of coefficients and named effects, with the `noise` about them.
 
-    `sized` is with the shapes found, `fitted` with parts of others. `in_part` are these and starting states,
-    `left_open` those for a model file. `gap` is the prediction of held-out readings.
+    `sized` are the estimates with the shapes found, `fitted` those with parts of other shapes, too. `in_part`
+    are these parts and the starting states; `left_open` are those of them for a model file. `gap` is the
+    prediction of held-out readings.
     """
 
     naming: Naming
@@ -267,9 +268,9 @@ def effects_of(
     limit: Threshold,
     linear: LinearSystem | None = None,
 ) -> tuple[NamedEffect, ...]:
-    """Return the finds with estimates `fitted` of their parameters and p-values, for the threshold `limit`.
+    """Return the finds with the estimates `fitted` of their parameters; p-values use the threshold `limit`.
 
-    From `linear`, if given, follow aliases of periods per turn, and channels of unnamed effects.
+    Aliases of periods per turn, and channels of unnamed effects, are stated only if `linear` is given.
     """
     effects = []
     for found, mine in naming.sizes():
@@ -376,9 +377,10 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 
 @dataclass(frozen=True)
 class Rival:
-    """A family in place of an effect found: ln of its Bayes factor, whether it is a tie, and what changes.
+    """A family that may be present in place of an effect found.
 
-    `shift` (12 × blocks,) are the changes of the coefficients with it instead, in units of their u.
+    `evidence` is ln of its Bayes factor; `tied` says whether it is a tie. `shift` (12 × blocks,) are the
+    changes of the coefficients, in units of their u, with this family in the model instead.
     """
 
     family: str
@@ -388,13 +390,13 @@ class Rival:
 
     @property
     def largest_shift(self) -> tuple[str, float]:
-        """The coefficient, by name, that changes most with this family instead, and the change in its u."""
+        """The coefficient that changes most with this family instead, by name, and its change in units of its u."""
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each find, the `LISTED` likeliest families in its place, the best first, and all ties."""
+    """Return, for each find, the `LISTED` likeliest families in its place and all its ties, the best first."""
     naming = diagnosis.naming
     if not naming.found:
         return ()
@@ -427,8 +429,8 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 class FullDiagnosis:
     """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has families in place of each find; `skipped_rows` could not be read; `shown` has the simulations
-    of the first block, `blocks` those of all if there are several.
+    `ranking` has, for each find, the families that may be in its place. `skipped_rows` are rows that could not
+    be read. `shown` has the simulations of the first block; if there are several, `blocks` has those of all.
     """
 
     source: str
@@ -474,8 +476,9 @@ def diagnose_fully(
 ) -> FullDiagnosis:
     """Diagnose the readings of a bench, simulate them, rank the rivals, and propose the next measurement.
 
-    `g_m_s2` is local gravity. `known` mistakes are already corrected. Unless `stated`, the readings may not be
-    from this bench, which then excludes no effects. `nominal` (blocks, 3) replaces its scale factors. Raises as
+    `g_m_s2` is local gravity, m/s². `source` names the readings; `simulated` says whether instruments were
+    simulated. Mistakes in `known` are already corrected. Unless the readings are `stated` to be from this
+    bench, it excludes no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as
     `diagnose`.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}

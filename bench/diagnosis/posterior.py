@@ -198,7 +198,7 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
-    """Return the columns of all rows, or those in a mask of whole settings, as independent unit noise."""
+    """Return `columns` (N, m) with independent noise of variance 1, of all rows or a mask of whole settings."""
     chosen = slice(None) if rows is None else rows
     relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
     white = columns / (noise.reading * relative)
@@ -299,8 +299,8 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect` is of the
-    catalogue unless given.
+    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect` replaces
+    the one of the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)

@@ -56,8 +56,9 @@ class Estimate:
 class ChannelCalibration:
     """The calibration of one channel: gain (V/V), offset (V) and drift (V/h).
 
-    One level leaves gain or offset None; `covariance_v` is theirs. `white_v` and `slow_v` are the noise of one
-    mean, V, and `residual_v` (n,) the residuals.
+    If the reference has one level, `gain` or `offset_v` is None. `covariance_v` is the covariance of gain and
+    offset, V. `white_v` and `slow_v` are the standard deviations of the white and the slow noise of one mean,
+    V; `residual_v` (n,) are the residuals, V.
     """
 
     channel: str
@@ -72,10 +73,10 @@ class ChannelCalibration:
 
 @dataclass(frozen=True)
 class RecordCalibration:
-    """The calibration of all c channels of a record of n means, of mean reference `level_v`.
+    """The calibration of all c channels of a record of n means; `level_v` is the mean of the reference, V.
 
-    `known_v` (n, c) of given effects are subtracted; `not_observable` says what the record does not determine;
-    `repeats` compares parts of the record, None if it is short.
+    `known_v` (n, c), V, of given effects are already subtracted; `not_observable` says what the record does not
+    determine. `repeats` compares calibrations of parts of the record, None if it is too short.
     """
 
     record: Record
@@ -104,11 +105,12 @@ def calibrate_record(
 ) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
-    Effects with a stated u keep their values; others, found here, are estimated again. u includes shapes,
-    states in which a lag begins, slow noise and the scatter of the reference (`reference_sd_v`). Of the
-    `hidden` sources, it includes those of a temperature (`unread_sources`) that the record lacks, and those of
-    the gain (`meter_gain_sources`) for a linear reference. Raises `CalibrationError` if the readings cannot be
-    evaluated, or such a reference has no source for a gain.
+    Effects with a stated u keep their values; others were found in these readings and are estimated again. u
+    includes the uncertainty of shapes and of states in which a lag begins, the slow noise, and the scatter of
+    the reference (`reference_sd_v`). It includes those of the `hidden` sources that depend on a temperature
+    (`unread_sources`), if the record lacks it, and errors of the gain (`meter_gain_sources`), if the reference
+    just changes linearly with time. Raises `CalibrationError` if the readings cannot be evaluated, or such a
+    reference has no source for a gain.
     """
     record = make_record(readings)
     hidden = _acting(record, hidden)
@@ -139,7 +141,7 @@ def calibrate_record(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """Voltages (n, c) of an effect with its values, its `start_of`, and its forms, None for a known shape."""
+    """An effect to estimate again: voltages (n, c) with its values, its `start_of`, and its forms (None: known)."""
 
     added_v: Floats
     start: Floats
@@ -261,10 +263,11 @@ def _channel(
 
 
 def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
-    """Return least-squares estimates (p, d) over trial noises, the covariance (p, p) of the first, and its noise.
+    """Return least-squares estimates (p, d), their covariance (p, p) for the first target, and the noise.
 
-    `design` (n, p) begins with the trend; `targets` (n, d). The first target gives the weights; its covariance
-    has the variation between noises. The noise is the most probable one.
+    `design` (n, p) begins with the trend; `targets` are (n, d). Estimates are averages over the trial noises,
+    weighted by the likelihood of the first target; the covariance includes their variation. The noise is the
+    likeliest one.
     """
     count = design.shape[1]
     beside = design[:, trials.trend.shape[1] :]

@@ -49,10 +49,10 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap` and `rivals`
-    (kinds of response) are of excursions held out in turn. `far` has a sentence for each far mean; `noises` has
-    that of the mean of channels, then of differences (`RecordWork.helmert`); `hidden` has effects that the
-    record cannot show.
+    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap`, and `rivals`
+    (kinds of response), are of excursions held out in turn. `far` has a sentence for each mean far from the
+    model. `noises` has the noise of the mean of all channels, then of each difference between channels
+    (`RecordWork.helmert`); `hidden` are effects that the record cannot show.
     """
 
     source: str
@@ -231,8 +231,8 @@ def _predicted(
 ) -> HeldOut:
     """Predict the held-out `rows` from the others, with the courses `others` and the best of `shapes`.
 
-    A line is subtracted from the errors, as slow noise sets the level. Chi-square is that of all rows minus
-    that of the others.
+    A straight line is subtracted from the errors, as slow noise sets the level after an excursion. The
+    chi-square is that of all rows minus that of the rows not held out.
     """
     rest = np.flatnonzero(~rows)
     lower = [linalg.cholesky(noise.covariance[np.ix_(rest, rest)], lower=True) for noise in noises]

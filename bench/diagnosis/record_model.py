@@ -50,8 +50,9 @@ OF_MEDIAN: Final = 1.0 / float(special.ndtri(0.75))
 class Record:
     """A record at a known input, as n means of consecutive readings in c `channels` (indices).
 
-    `reference_v` (n,) is the input, `deviation_v` (n, c) the signal minus it, V; `scale` (n,) is the relative
-    noise of a mean; `conditions` are of the means; `used` (m,) masks the readings in them.
+    `reference_v` (n,) is the input, V; `deviation_v` (n, c) is signal minus input, V; `scale` (n,) is the
+    relative noise of each mean. `conditions` are those of the means; `used` (m,) is the mask of the readings in
+    them.
     """
 
     source: str
@@ -270,10 +271,10 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the `spread` (n, c) of each mean.
+    """Return the relative size (n,) of the noise from the `spread` (n, c) of the readings in each mean.
 
-    Below a range of `LARGER` it is uniform, and within `LARGER` squared of the median. It is smoothed over a
-    seventh of a full record.
+    It is uniform if the largest is less than `LARGER` times the smallest; else it is limited to a factor of
+    `LARGER` squared about the median. It is smoothed over a seventh of a full record.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
@@ -314,7 +315,7 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return shapes to try: each parameter on its grid, or `BEYOND` it if it has a unit, others at default."""
+    """Return shapes to try: one parameter on its grid and, if it has a unit, `BEYOND`; the others at default."""
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
@@ -326,7 +327,10 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 
 
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
-    """Return the shapes that an effect may have; only the given one for rails, formulas, several parameters."""
+    """Return the shapes that an effect of a model may have in a record.
+
+    It is only the given one for a supply, a formula, and several shape parameters that are not 0.
+    """
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
         return [(effect, shape)]
@@ -366,9 +370,10 @@ def fading_record(record: Record, lag_s: float) -> Record:
 
 
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
-    """Return effects in shapes as candidates of `column_of`, the same column for each channel of its own.
+    """Return effects in shapes as candidates with the columns of `column_of`.
 
-    A form that the trend can describe is left out.
+    An effect with a size for each channel has the same column for each. A form that the trend can describe is
+    left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []
     kinds: list[Column] = []

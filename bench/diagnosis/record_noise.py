@@ -27,8 +27,9 @@ They are a factor of about three apart; longer ones resemble flicker noise.
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield a covariance (n, n), of mean variance 1, of each kind of slow noise at `time_h` (n,), h.
 
-    Random walk; flicker: the integral of exponential covariances over ln of their time, from mean step to
-    length; exponential correlations.
+    The kinds are a random walk, flicker noise, and exponential correlations of several times. The covariance of
+    flicker noise is the integral of exponential ones over ln of their time, from mean step to length of the
+    record.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -41,9 +42,10 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 
 @dataclass(frozen=True)
 class Noise:
-    """White noise of `variance`, V², plus slow noise of `ratio` times this on average, over n means.
+    """White noise of `variance`, V², plus slow noise of one kind, over n means.
 
-    `slow` (n,) and `vectors` (n, n) are the eigensystem of the slow covariance of mean variance 1.
+    The mean variance of the slow noise is `ratio` times `variance`; `slow` (n,) and `vectors` (n, n) are
+    eigenvalues and eigenvectors of its covariance, for a mean variance of 1.
     """
 
     slow: Floats
@@ -66,7 +68,10 @@ class Noise:
         return np.asarray((self.vectors.T @ columns) / self.sd[:, None])
 
     def drawn(self, rng: np.random.Generator, count: int) -> Floats:
-        """Return `count` samples of the noise (n, count), V; the symmetric root is the same on all machines."""
+        """Return `count` samples of the noise (n, count), V.
+
+        The factor of the covariance is the symmetric root, as the signs of eigenvectors vary between machines.
+        """
         drawn = self.vectors.T @ rng.standard_normal((len(self.slow), count))
         return np.asarray(self.vectors @ (self.sd[:, None] * drawn))
 
@@ -132,9 +137,10 @@ class NoiseTrials:
 class Products:
     """Scalar products of h whitened columns and d targets, for each of s trial noises.
 
-    Squared lengths are `square` (s, h) and `left` (s, d) of the targets, `product` (s, h, d) is between them;
-    `log_det` (s,) is the part of ln of the likelihood without data. Columns `begun` (b,) have starting states:
-    `start_square` (s, b), `start_product` (s, b, d) with targets, `across` (s, b) with columns.
+    `square` (s, h) and `left` (s, d) are squared lengths of columns and targets, `product` (s, h, d) their
+    scalar products; `log_det` (s,) is the part of ln of the restricted likelihood without data. The columns
+    `begun` (b,) have starting states: `start_square` (s, b) are the squared lengths of these, `start_product`
+    (s, b, d) their products with targets, `across` (s, b) with their columns.
     """
 
     noises: tuple[Noise, ...]
@@ -157,8 +163,9 @@ class Products:
     def sizes(self) -> tuple[Floats, Floats, Floats]:
         """ln of the restricted likelihood with each column in the first target, its size and variance, (h,).
 
-        They are averages over noises of the kind, of those not excluded, with the largest u, which covers the
-        others. The prior of a starting state is the size with a free state.
+        They are averages over the trial noises of one kind: of the kinds that the record does not exclude, the
+        one with the largest u, which covers the others. The prior of a starting state is the size estimated
+        with a free state.
         """
         freedom, each = self.freedom - 1, []
         for number in range(len(self.noises)):

@@ -30,9 +30,10 @@ FAINT: Final = 9.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V), at 0 V for several levels, and drift (V/h) of a channel with u, beside the finds.
+    """Zero (V) and drift (V/h) of a channel with u, estimated together with the finds.
 
-    `before_v` and `residual_v` (n,) are residuals without and with them, V.
+    For a reference of several levels, the zero is that at 0 V. `before_v` and `residual_v` (n,), V, are
+    residuals without and with the finds.
     """
 
     channel: str
@@ -48,8 +49,9 @@ class ChannelFit:
 class Forms:
     """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
 
-    `columns` and `starts` (n, h) are as `column_of` and `start_of`; `size` and `variance` are (parts, h). The
-    first forms have `values` of a shape `parameter` with a unit (or None), of probabilities `of_values`.
+    `columns` (n, h) are as `column_of`, `starts` (n, h) as `start_of`; `size` and `variance` (parts, h) are
+    estimates by component. The first forms have the `values` of a shape `parameter` with a unit (None: there is
+    none), with the probabilities `of_values`.
     """
 
     columns: Floats
@@ -64,8 +66,8 @@ class Forms:
     def variance_beside(self, noise: Noise, design: Floats, held: Floats) -> Floats:
         """Return the covariance (p, p) that the unknown form adds to the estimates of other columns.
 
-        These are the first p of `design` (n, p + 1); the last is the data. Deviations of likely forms count
-        from `held`.
+        `design` (n, p + 1) has these p columns, then the data. Deviations count from the estimates with the
+        course in another form, `held` (n, k).
         """
         weight = special.softmax(self.log)
         likely = np.flatnonzero(weight > INSEPARABLE)
@@ -86,7 +88,8 @@ class Forms:
 class RecordWork:
     """A record of n means, the courses that may explain it, and its trial noises.
 
-    Its channels are evaluated as components (`helmert`). `kept` caches columns by name and shape of an effect.
+    Its c channels are evaluated as c components, their mean and their differences (`helmert`). `kept` is a
+    cache of columns by name and shape of an effect.
     """
 
     record: Record
@@ -148,7 +151,11 @@ class RecordWork:
         return range(len(self.record.channels))
 
     def _in_part(self, courses: Sequence[Variant], part: int) -> tuple[Floats, Floats]:
-        """Return columns and starting states (n, m) in a component; a common size occurs in the mean only."""
+        """Return columns and starting states, each (n, m), of courses in the component `part`.
+
+        A course of one size for all channels is in the mean only, so that m may be less than the number of
+        courses.
+        """
         mine = [course for course in courses if part == 0 or self.of_channels(course)]
         for one in mine:
             if (one.family, one.shape) not in self.kept:
@@ -177,9 +184,10 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each variant (h, d), and of the odds of each family, beside `found`.
+        """Return ln of the Bayes factor of each of h variants (h, d), and of the posterior odds of each family.
 
-        `targets` has, for each component, d data sets as columns (n, d).
+        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns
+        (n, d).
         """
         every = self.candidates.variants
         own = np.array([self.of_channels(one) for one in every])
@@ -231,8 +239,8 @@ class RecordWork:
     ) -> tuple[Floats, Floats]:
         """Return the size of the course `number` and its covariance, in plausible sizes, beside all `courses`.
 
-        Both are by channel, or have one entry for a common size. With `forms`, they are averages over possible
-        forms.
+        Both have an entry for each channel, or one for a common size. With `forms`, they are averages over the
+        possible forms of the course, weighted by likelihood.
         """
         course = courses[number]
         log, size, variance = (

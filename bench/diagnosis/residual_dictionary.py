@@ -32,7 +32,10 @@ LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit of the size of a term, its value in SI, and the plausible size in SI, and in SI per kelvin."""
+    """The unit of the size of a term, `text`, and its value in SI, `si`.
+
+    `plausible` is the plausible size, SI; `plausible_per_k`, that of a term in proportion to temperature, SI/K.
+    """
 
     text: str
     si: float
@@ -52,11 +55,12 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 @dataclass(frozen=True)
 class TimeCourse:
-    """A course over the readings that an unnamed effect may follow, of order 1; `where` says where it acts.
+    """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
-    `expressions` have own sizes, and `constants` single values. `of_temperature`: in kelvin; `of_angle`: of the
-    head angle; `long`: also tried in scale factor and voltage; `narrow`: at one angle, mounting or step, or a
-    fast wave, and so not tried in angles of the stand.
+    Each of the formulas `expressions` has its own size; `constants` are parameters of a single value.
+    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor and voltage;
+    `narrow`: at one angle, mounting or step, or a fast wave, and so not tried in angles of the stand. `where`
+    says in words where it acts.
     """
 
     words: str
@@ -73,8 +77,8 @@ class TimeCourse:
 class DictionaryTerm:
     """A term of the dictionary: formulas, each with a size in `unit`, added at one stage of the model.
 
-    `family` has the words. At the stand, the angle is `adds_to`. `course` is None for powers and products;
-    `of_force` changes the scale factor, not the bias.
+    `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for
+    powers and products; with `of_force`, the course changes the scale factor, not the bias.
     """
 
     family: str

@@ -133,10 +133,11 @@ class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
     `cannot_tell_from` are its ties, `odds` the posterior probabilities of all names, `plainer_than` effects of
-    the subsystem that include it. `rho` is the size of the parameters in u (`Posterior.significance`), if any.
-    `p` is for this effect alone, `p_all_looks` for all tried. `applied` has an entry for each set of mountings,
-    none outside the catalogue; `together`, sums or differences that are known far better than the values.
-    `aliases` are other periods per turn, indistinguishable at these angles.
+    the same subsystem that include it. `rho` is the size of the parameters in units of u
+    (`Posterior.significance`), None without one. `p` is the p-value of this effect alone, `p_all_looks` that
+    for all effects tried. `applied` has an entry for each set of mountings, none outside the catalogue;
+    `together`, sums or differences that are known far better than the values. `aliases` are other periods per
+    turn, indistinguishable at these angles.
     """
 
     name: str
@@ -348,8 +349,8 @@ class UnexplainedScatter:
 class FormTerm:
     """A term of the dictionary that was found, with its sizes and their u.
 
-    `could_also_be` describe the readings as well; `rho` is its size in noise; `p` does not count the terms
-    tried.
+    `could_also_be` are terms that describe the readings as well. `rho` is its size in units of noise; the
+    p-value `p` does not count the terms tried.
     """
 
     applied: AppliedEffect
@@ -369,8 +370,9 @@ class FormTerm:
 class FreeForm:
     """A description, by terms of the dictionary, of what the catalogue does not explain.
 
-    `gap` is without and with the terms. `dark` exceeds the noise of repeats; `scatter` is its largest place, if
-    any. `instead_of` are named effects of the same readings: either they or the terms are present.
+    `gap` is the prediction of held-out readings without and with the terms. `dark` is the scatter beyond the
+    noise of repeats; `scatter` is the place where it is largest, if any. `instead_of` are named effects of the
+    same readings: either they or the terms are present.
     """
 
     terms: tuple[FormTerm, ...]

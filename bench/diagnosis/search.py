@@ -42,8 +42,9 @@ from bench.readings.table import Readings
 class Prepared:
     """Readings prepared for the search: system, noise of repeats, whitened candidates, products, threshold.
 
-    `setting_rad` is that of the bench file; `bend` (N,), the nonlinear part of the finds, is subtracted
-    already. `log_odds` is ln of the prior odds of the noise, less parameters; `chosen` has its words by kind.
+    `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the finds,
+    is already subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses chosen,
+    minus the cost of their parameters; `chosen` maps their kinds to words.
     """
 
     linear: LinearSystem
@@ -64,7 +65,8 @@ class Prepared:
     def log_evidence(self, naming: Naming) -> float:
         """Return ln of the evidence of this noise with the finds of `naming`, up to a constant.
 
-        That of each find is averaged over all families, so that the noise does not depend on the names.
+        The evidence of each find is averaged over all families, so that the choice of noise does not depend on
+        names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -120,9 +122,9 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear`, of perhaps another model, with the kind of noise of `prepared`, of the same readings.
+    """Return `linear` with the kind of noise of `prepared`, a system of the same readings in another model.
 
-    With several blocks, whose rows are in another order, it gets only the noise by channel and by run.
+    With several blocks, whose rows are in another order, `linear` gets only the noise by channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -141,7 +143,8 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 class SearchTask:
     """What every search needs besides the readings; effects in `absent` are not searched.
 
-    `stand_u` has the u of `STAND_ANGLES` and "setting_error", rad; `resolution` is the last digit.
+    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error"; `resolution` is the
+    step of the last digit, unit of the signal.
     """
 
     model: ForwardModel
@@ -172,7 +175,7 @@ class SearchTask:
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid for a first estimate `sigma`; rounding that repeats share makes it known."""
+        """Return the noise grid for a first estimate `sigma`, which is final if repeats share a rounding error."""
         return replace(
             make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
         )
@@ -220,7 +223,10 @@ def _prepared(
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Return the finds that remain if the largest may have parts of other shapes, as between two of a grid."""
+    """Return the finds that remain if the largest may have parts of other shapes.
+
+    A true shape between two of the catalogue's grid leaves residuals that other effects would explain.
+    """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
         return naming

@@ -41,8 +41,10 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `test` compares readings with a simulation without noise; `effects` have the values estimated. `points` are
-    independent of the fit, unless it is `joined`, as an effect shows only there. `repeat` computes `repeated`.
+    `calibration` has the estimates; `effects` are those of the model with values and u estimated here. `test`
+    compares the readings with a simulation without noise. `points` are the errors at verification points,
+    independent of the fit unless it is `joined`, because an effect shows only there. `repeat` computes
+    `repeated`.
     """
 
     model: ForwardModel
@@ -137,9 +139,10 @@ def label(applied: AppliedEffect) -> str:
 
 
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
-    """Yield a sentence for each value `stated` by a model that its new estimate contradicts.
+    """Yield a sentence for each value `stated` by a model that its new estimate contradicts, at `HARDLY_EVER`.
 
-    The level is `HARDLY_EVER`; the u of the difference is the root of the difference of the variances.
+    `estimated` are the same effects, estimated again. The u of the difference is the root of the difference of
+    the variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:

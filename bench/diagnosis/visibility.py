@@ -52,7 +52,7 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The root of the sum of squares of parameters of a `unit` that is found in half of all runs.
+    """The size, in `unit`, that half of all runs find: the root of the sum of squares of several parameters.
 
     If `part`, some proportions of the parameters show at no credible size.
     """
@@ -109,7 +109,7 @@ def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smalles
 def hidden(
     whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects that these readings could not show, each with the hidden parts; empty: wholly.
+    """Return the effects that these readings could not show, each with its hidden parts (empty: all of it).
 
     A part is one phase of a wave. `sizes` are the result of `detectable`; `ratio` is the index of the noise
     ratio.
@@ -282,8 +282,8 @@ def find_places(
 ) -> tuple[ResidualPattern, ...]:
     """Return the significant patterns of the residuals, the largest first, at most `LISTED`.
 
-    `ratio` is the index of the noise ratio; `sigma`, the noise from repeats with `freedom`. p-values count all
-    patterns.
+    `ratio` is the index of the noise ratio; `sigma`, unit of the signal, is the noise from repeats, with
+    `freedom` degrees of freedom. p-values are corrected for the number of patterns.
     """
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)

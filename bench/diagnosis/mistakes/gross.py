@@ -36,16 +36,21 @@ SHEET_U: Final = (0.10, 0.05, 0.5)
 
 
 def sheet_u(scale: Floats) -> Floats:
-    """Return prior u (4, 3) of the coefficients: row of K, then bias, for each channel of `scale` (3,)."""
+    """Return the prior u (4, 3) of the coefficients about those of a data sheet, by channel in columns.
+
+    A column has the row of K of its channel, unit of the signal per g, then the bias, unit of the signal.
+    `scale` (3,) are the scale factors of the data sheet.
+    """
     own, cross, bias = SHEET_U
     return np.asarray(np.vstack([np.where(np.eye(3) == 1, own, cross), np.full(3, bias)]) * scale)
 
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and others that explain them equally well.
+    """The supposed mistake that explains the readings best, and others that do so equally well, `equal`.
 
-    `p` is at most suppositions over odds: chance gives odds of B with a probability of at most 1/B.
+    `p` is an upper limit, suppositions tried over odds: chance gives odds of B with a probability of at most
+    1/B.
     """
 
     supposition: Reinterpretation
@@ -66,8 +71,9 @@ class GrossFit:
 class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
-    `nominal` (3,) is signed, unit of the signal per g, None if unknown. `stand_rad` is 1 sigma of the angle of
-    block and vertical within the limits of the bench, and of the force in g.
+    `nominal` (3,) are the signed scale factors of the data sheet, unit of the signal per g, None if unknown.
+    `stand_rad` is the prior u of the angle between block and vertical that the limits of the bench permit, rad,
+    and of the specific force, g.
     """
 
     installations: Mapping[str, Installation]
@@ -75,10 +81,11 @@ class GrossSearch:
     stand_rad: float = 0.0
 
     def find(self, readings: Readings) -> GrossMistake | None:
-        """Return the most probable mistake, if its odds exceed suppositions tried over `HARDLY_EVER`.
+        """Return the most probable mistake, if its odds exceed suppositions tried over `HARDLY_EVER`; else None.
 
-        Useless readings, passes and mountings compete. If the copy is still far off, two mistakes may hide each
-        other: of the finds without a mounting, the one that explains most with a second is returned.
+        It competes with the supposition that a reading, pass or mounting is useless. If the copy is still far
+        off, two mistakes may hide each other: the search is repeated without each mounting in turn, and the
+        mistake is returned that explains most together with a second one.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -96,8 +103,8 @@ class GrossSearch:
     def find_at_verification(self, readings: Readings) -> GrossMistake | None:
         """Return the wiring mistake at verification points, of unknown orientation, that best makes |a| = 1 g.
 
-        The coefficients are those of the oriented readings; without a data sheet, which has the signs, it is
-        None.
+        The coefficients are those of the oriented readings, with the signs of the data sheet. None if no
+        mistake does, or there is no data sheet.
         """
         points, table = OrientedRows.of(readings, verification=True), OrientedRows.of(readings)
         if len(points) < 2 or self.nominal is None:  # a single point may be wrong by itself
@@ -123,7 +130,8 @@ class GrossSearch:
     ) -> GrossMistake | None:
         """Return the likeliest map of the rows in the mask `kept` (n,).
 
-        Rows that are likelier useless than of any map are left out, and the maps of others compared again.
+        Rows that are more probably useless than of any map are left out, and the maps of the other rows
+        compared again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
@@ -147,7 +155,7 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the index of the best of the `odds` (ln), where another unit must bring channels to the sheet."""
+        """Return the index of the largest of the `odds` (ln); another unit must bring channels to the sheet."""
         while True:
             best = int(np.argmax(odds))
             if not supposed[best].scales or not np.isfinite(odds[best]):
@@ -162,7 +170,8 @@ class GrossSearch:
         """Return an upper limit of the p-value of a copy with corrected units, `right`, against `recorded`.
 
         It is the number of suppositions (ln: `log_looks`) over the odds of the copy. `log_scaling` is ln of the
-        enlargement of a volume of signals, which converts a density of the copy to one of the recorded signals.
+        factor by which the correction enlarges a volume of signals; it converts a density of corrected signals
+        to one of recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]

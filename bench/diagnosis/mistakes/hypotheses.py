@@ -34,8 +34,9 @@ WIDE: Final = max(ERRORS)
 class ProjectedReadings:
     """The whitened readings of a table at one noise ratio, with all that is known projected out.
 
-    `white` is the noise; `basis` (3n, k) spans model and known changes; `pull` (3n,) are the residuals and
-    `square` their square; `log_det` is the part of ln of the evidence without the readings.
+    `white` has the noise of a reading and the setting error; `basis` (3n, k) spans model and known changes.
+    `pull` (3n,) are the residuals, `square` is their sum of squares; `log_det` is the part of ln of the
+    evidence that does not depend on the readings.
     """
 
     table: Table
@@ -57,7 +58,10 @@ class ProjectedReadings:
         return self.table.unit * float(np.sqrt(self.square / max(free, 1.0)))
 
     def of_group(self, columns: Floats) -> float:
-        """Return ln of the Bayes factor of a change `columns` (n, 3, p), in units of noise, of prior `SIZES`."""
+        """Return ln of the Bayes factor of a change with `columns` (n, 3, p), in units of noise, against no change.
+
+        The p amplitudes have normal priors, of standard deviations averaged over `SIZES`.
+        """
         inside = self.table.whiten(self.table.unit * columns, self.white)
         known = self.basis.T @ inside
         values, vectors = np.linalg.eigh(inside.T @ inside - known.T @ known)
@@ -102,8 +106,9 @@ class ProjectedReadings:
 class Table:
     """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the block.
 
-    Derivatives are `slope` (n, 3), per rad of the head, `coefficients` (n, 3, 12), and `stand` (n, 3, p) by the
-    other unknowns times prior u. `unit` is the noise of a reading. All are in the unit of the signal.
+    `slope` (n, 3), per rad, are the derivatives by the head angle, `coefficients` (n, 3, 12) by the
+    coefficients, and `stand` (n, 3, p) by the other unknowns, times prior u. `unit` is the noise of a reading.
+    All are in the unit of the signal.
     """
 
     problem: Problem
@@ -179,8 +184,8 @@ class Table:
     ) -> ProjectedReadings:
         """Return the readings at a noise ratio, with the model and further columns (n, 3, p) projected out.
 
-        `known` are in units of the noise, of wide prior; `more`, in the unit of the signal, of standard normal
-        prior.
+        Columns `known` are in units of the noise, with a wide prior; columns `more`, in the unit of the signal,
+        have standard normal priors.
         """
         white = Noise(self.unit, ratio * self.unit / self.typical_slope, np.inf, "grid")
         wide = self.coefficients * (WIDE * self.unit / np.max(np.abs(self.coefficients)))
@@ -212,7 +217,8 @@ class Table:
     def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
         """Yield unit changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
-        The first item is the mask (n,) of the pass of the change; None if it is in all, or there is only one.
+        The first item is the mask (n,) of the pass of the change; None if it is in all passes, or there is only
+        one.
         """
         if self.points.shape[2]:
             yield None, self.points

@@ -25,7 +25,8 @@ from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
 class OrientedRows:
     """The n readings of a table taken in an orientation, or those at its verification points.
 
-    `rows` (n,) are indices in the table, `mount` (n,) in `mounts`; `signal` (n, 3) is in `unit`.
+    `rows` (n,) are indices in the table, `mount` (n,) in `mounts`; `label` (n,) are installations; `signal` (n,
+    3) is in `unit`.
     """
 
     rows: Ints
@@ -70,7 +71,10 @@ class OrientedRows:
 
 @dataclass(frozen=True)
 class Scope:
-    """The rows in `mask` (n,) that a supposition is about, with their mountings and pass (empty, None: all)."""
+    """The part of a run to which a supposition applies: the rows in `mask` (n,).
+
+    `mounts` are its mountings (empty: all), `pass_number` is its pass (None: all).
+    """
 
     mask: Mask
     mounts: tuple[Mounting, ...] = ()
@@ -94,9 +98,9 @@ class Scope:
 class Reinterpretation:
     """A supposed mistake in the record of n readings; a default field leaves the record as it is.
 
-    `label` and `angle_rad` (n,) are the truth; true signals of reading i are with reading `source[i]` (-1:
-    lost). `turns` has rotations (3, 3) from stated to true block axes by installation; `matrix` (3, 3) converts
-    signals in `scope`. `words` is a sentence.
+    `label` and `angle_rad` (n,) are the true installations and head angles. The true signals of reading i were
+    recorded with reading `source[i]` (-1: lost). `turns` has rotations (3, 3) from stated to true block axes by
+    installation. `matrix` (3, 3) converts recorded to true signals in `scope`. `words` is a sentence.
     """
 
     name: str
@@ -142,10 +146,10 @@ class Reinterpretation:
         return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
-        """Return a corrected copy of `readings`, the oriented rows of which are `table`.
+        """Return a corrected copy of `readings`, of which `table` are the oriented rows.
 
-        A supposition about the whole run corrects wires and sense of the head in all rows, but not the known
-        sign of a reference. Readings without recorded signals are omitted.
+        A supposition about the whole run corrects wires and sense of the head in all rows, but not the sign of
+        a reference, which is known. Readings of which the signals were not recorded are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()

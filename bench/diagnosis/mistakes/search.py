@@ -35,10 +35,10 @@ class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
     `name` is a `MistakeName`; `installations` are mountings (`str(Mounting)`; empty: the whole run); `words` is
-    a sentence. `p` counts all suppositions tried. `cannot_tell_from` are mistakes and effects that explain the
-    readings equally well; "other_mounting" is another orientation of the block. `misfit_before` and
-    `misfit_after` are root mean squares of the deviations from model and data sheet, in units of the noise;
-    noise alone gives 1.
+    a sentence. `p` is corrected for all suppositions tried. `cannot_tell_from` are mistakes and effects that
+    explain the readings equally well; "other_mounting" is another orientation of the block. `misfit_before` and
+    `misfit_after` are root mean squares of the deviations from model and data sheet, in units of the noise,
+    before and after the correction; noise alone gives 1.
     """
 
     name: str
@@ -86,10 +86,10 @@ def find_mistakes(
 ) -> MistakeSearch:
     """Return the mistakes in a table of readings, and a copy without them.
 
-    `stand_u` has the u of angles (`STAND_ANGLES`) and "setting_error", rad. Without `nominal_scale_factors`
-    (3,), signed, unit of the signal per g, mistakes that only change coefficients are not found. Odds of a
-    mistake exceed 1/`significance`. Raises `CalibrationError` if no reading can be used, or a signal is not a
-    number.
+    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error".
+    `nominal_scale_factors` (3,) are those of the data sheet with signs, unit of the signal per g; without them
+    (None), mistakes that only change coefficients are not found. The odds of a mistake must exceed
+    1/`significance`. Raises `CalibrationError` if no reading can be used, or a signal is not a number.
     """
     usable_rows(readings, model)
     nominal = None if nominal_scale_factors is None else np.asarray(nominal_scale_factors, dtype=np.float64)
@@ -119,7 +119,7 @@ class _Search:
     significance: float
 
     def unit(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a wrong unit, found by comparing signals, and the copy, if any; with a data sheet, see `map`.
+        """Return a wrong unit, found by comparing signals, and the copy; nothing if there is a data sheet (`map`).
 
         The p-value counts every unit prefix of every channel in every part of the table.
         """

@@ -37,11 +37,12 @@ SLIP_PART: Final = 0.01
 
 @dataclass(frozen=True)
 class WrongReadings:
-    """A mistake in one reading, or in all readings of a pass (`rows`, among oriented ones).
+    """A mistake in one reading, or in all readings of a pass; `rows` are indices among the oriented readings.
 
-    `off_rad` is the true minus the recorded angle, None if readings are useless; `ties` may explain them as
-    well; `p` is hypotheses over odds. For one reading, `shift` (3,) is the error, unit of the signal, and
-    `sigma` its largest in noise; a pass has no `shift`.
+    `off_rad` is the true minus the recorded angle, None if the readings are useless; `ties` are mistakes or
+    effects that may explain them as well; `p` is the number of hypotheses over the odds. For one reading,
+    `shift` (3,) is the error, unit of the signal, and `sigma` its largest component in units of noise; for a
+    pass, `shift` is empty.
     """
 
     name: MistakeName
@@ -61,7 +62,11 @@ class WrongReadings:
 
 @dataclass(frozen=True)
 class TermSearch:
-    """A search for wrong readings in `signal` (n, 3), of noise at least `floor`, about a `fit` of a mask."""
+    """A search for wrong readings in the table `signal` (n, 3).
+
+    `floor` is the least noise of a reading, unit of the signal; `fit` returns the block fitted to the readings
+    in a mask (n,).
+    """
 
     problem: Problem
     signal: Floats
@@ -80,8 +85,8 @@ class TermSearch:
         """Return the pass that is wrong as a whole, or else wrong single readings, the largest error first.
 
         The likeliest error of a reading or change of the bench joins the model, until no odds exceed
-        1/`significance`. A change of a pass is compared with mistakes in it. If too many readings would be
-        wrong, none is returned.
+        1/`significance`. A change of a pass first competes with the mistakes in this pass. Nothing is returned
+        if too many readings would be wrong.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
@@ -241,7 +246,7 @@ def _outlier(shift: Floats, precision: Floats) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Pass:
-    """One pass, of the rows in a mask (n,), about a block fitted to all others, at the likeliest noise ratio."""
+    """One pass, `rows` (n,) of a table, about a block fitted to all other passes, at the likeliest noise ratio."""
 
     table: Table
     rows: Mask
