@@ -32,7 +32,15 @@ from bench.diagnosis.noise_grid import (
     with_rounding,
 )
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
-from bench.diagnosis.posterior import applied_of, beside, fit_found, noise_size, posterior, with_other_shapes
+from bench.diagnosis.posterior import (
+    NoiseSize,
+    applied_of,
+    beside,
+    fit_found,
+    noise_size,
+    posterior,
+    with_other_shapes,
+)
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import Readings
@@ -108,6 +116,8 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         tried = []
         for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
             searched, named = again(prepared, one.linear, most)
+            if searched.whitened.grid.known:
+                continue  # the evidence of a fixed noise does not compare with that of an unknown one
             searched = replace(
                 searched,
                 log_odds=prepared.log_odds + one.log_odds,
@@ -130,11 +140,12 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
     if prepared.readings.block is not None:
         return linear
     of_noise = prepared.random[:, prepared.random.shape[1] - prepared.of_noise :]
+    own = linear.random[:, : linear.random.shape[1] - linear.of_noise]
     return replace(
         linear,
         by_row=prepared.by_row,
         by_place=prepared.by_place,
-        random=np.column_stack([linear.random, of_noise]),
+        random=np.column_stack([own, of_noise]),
         of_noise=prepared.of_noise,
     )
 
@@ -179,6 +190,15 @@ class SearchTask:
         return replace(
             make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
         )
+
+    def smaller_noise(self, grid: NoiseGrid, noise: NoiseSize) -> float | None:
+        """Return the noise of a reading about the finds if it is smaller than that of `grid`; None otherwise.
+
+        An effect that changes between repeats makes the first estimate too large, and so the limits of the stand
+        too narrow. With a coarse last digit, the first estimate stays.
+        """
+        smaller = noise.reading < (1.0 - SAME_SIZE) * grid.sigma
+        return noise.reading if smaller and not is_rounded(self.resolution, noise.reading) else None
 
 
 def find_effects(task: SearchTask, readings: Readings) -> tuple[Prepared, Naming]:
@@ -262,13 +282,22 @@ def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, N
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised again about the finds; None if the present linearisation suffices."""
+    """Return the readings linearised and whitened again about the finds; None if the present ones suffice."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
+    sigma = task.smaller_noise(prepared.whitened.grid, noise)
+    fresh = None
+    if sigma is None:
+        sigma = prepared.whitened.grid.sigma
+    else:
+        left = linear.response - candidates.columns[:, list(naming.columns)] @ fitted.amplitudes
+        repeats = task.repeats(replace(linear, response=left), prepared.repeats.sigma)
+        whitened, data = task.whiten(linear, candidates, sigma)
+        prepared = fresh = replace(prepared, repeats=repeats, whitened=whitened, data=data)
     parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.sizes() if f.variant.named]
     if not parts:
-        return None
+        return fresh
     effects = tuple(a for v, value in parts for a in applied_of(candidates, v, value, 0.0 * value))
     block = Block.from_vector(linear.block.vector + fitted.mean[:FIXED])
     change = linear.view.own(linear.model, effects, block)
@@ -276,27 +305,21 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     sizes = np.concatenate([value for _, value in parts])
     moved = linear.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
-    # an effect that changes between repeats made the first sigma too large, and so the stand's limits too narrow
-    first = prepared.whitened.grid.sigma
-    sigma = min(noise.reading, first)
-    accurate = float(np.max(np.abs(bend))) < UNSEEN * noise.reading
-    if accurate and sigma > (1.0 - SAME_SIZE) * first:
-        return None
-    left = linear.response - candidates.columns[:, list(naming.columns)] @ fitted.amplitudes
-    repeats = task.repeats(replace(linear, response=left), prepared.repeats.sigma)
+    if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
+        return fresh
     readings = linear.readings
     try:
         again = task.linear(replace(readings, signal=readings.signal - change))
     except CalibrationError:  # what was found is too large to be true
-        return None
+        return fresh
     told = with_terms(make_candidates(again, sigma, absent=task.absent), again)
     if told.kinds != candidates.kinds:
-        return None
+        return fresh
     told = replace(candidates, columns=told.columns, scale=told.scale)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
     whitened, data = task.whiten(about, told, sigma)
-    return replace(prepared, linear=about, repeats=repeats, whitened=whitened, data=data, bend=moved - back)
+    return replace(prepared, linear=about, whitened=whitened, data=data, bend=moved - back)
 
 
 # --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
@@ -355,10 +378,13 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
     while len(kept := [one for one in begun if _stays(whitened, data, naming, one)]) < len(begun):
         begun = kept
         naming = name(whitened, data, limit, begun=begun)
-    sigma = noise_size(whitened, data, naming.columns).reading
-    if naming.found and sigma < (1.0 - SAME_SIZE) * whitened.grid.sigma:
-        # an effect that changes between repeats made the first estimate too large
-        return _in_all_and_each(task, _prepared(task, linear, limit, sigma))
+    sigma = task.smaller_noise(whitened.grid, noise_size(whitened, data, naming.columns))
+    if naming.found and sigma is not None:
+        again, named = _in_all_and_each(task, _prepared(task, linear, limit, sigma))
+        left = linear.response - _common(linear, again.whitened, again.data, named)
+        return replace(
+            again, repeats=task.repeats(replace(linear, response=left), prepared.repeats.sigma)
+        ), named
     return replace(prepared, whitened=whitened, data=data), naming
 
 

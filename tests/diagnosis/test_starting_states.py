@@ -125,7 +125,7 @@ def test_without_a_stated_u_a_mounting_begins_in_equilibrium(ready, name):
 
 
 def test_a_play_forgets_its_start(ready):
-    conditions = MODEL._with_turns(ready.linear.conditions)
+    conditions, _ = MODEL._turned(ready.linear.conditions)
     risen, middle, fallen = (state(conditions, 0.25, start) for start in (1.0, 0.0, -1.0))
     # x of installation 1 rises at 0 deg from -5 deg on: by 0.087 g, which is 0.35 half-widths
     assert risen[0, 0] == 1.0
