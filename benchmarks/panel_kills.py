@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -73,9 +74,13 @@ class Campaign:
         """Start a calibration whose questions are answered in its folder, and take control of it."""
         self.counts["runs"] += 1
         run = Begun(self.runs, f"run-{self.counts['runs']}", "calibration", "folder")
-        run.wait_for_events()
-        until(lambda: self.state(run)["prompt"] is not None)
-        self.post(run, "control", do="take")
+        try:
+            run.wait_for_events()
+            until(lambda: _answered(lambda: self.state(run)["prompt"] is not None))
+            self.post(run, "control", do="take")
+        except BaseException:
+            run.close()
+            raise
         return run
 
     def kill_and_check(self, run: Begun) -> None:
@@ -113,7 +118,7 @@ class Campaign:
             self.wrong.append(f"{run.name}: {problems}")
         if is_being_written(run.folder):
             try:
-                until(lambda: self._same_question(run), 20.0)
+                until(lambda: _answered(lambda: self._same_question(run)), 20.0)
             except AssertionError:
                 self.wrong.append(f"{run.name}: the panel shows another question than stands")
         self.check_answers(run)
@@ -128,13 +133,14 @@ class Campaign:
     def check_answers(self, run: Begun) -> None:
         """Check that no question was answered twice, and that there is no answer without a question."""
         open_ones: set[str] = set()
+        answered: set[str] = set()
         for event in Run(run.folder).history.events:
             if event.type == "asked":
                 open_ones.add(event.data["id"])
             elif event.type == "answered":
-                if event.data["id"] not in open_ones:
+                if event.data["id"] not in open_ones - answered:
                     self.wrong.append(f"{run.name}: {event.data['id']} was answered twice, or unasked")
-                open_ones.discard(event.data["id"])
+                answered.add(event.data["id"])
 
     def finish(self, run: Begun) -> None:
         """Answer the remaining questions, and check the finished run."""
@@ -153,8 +159,9 @@ class Campaign:
 def campaign(runs: Path, kills: int, seed: int) -> Campaign:
     """Kill the panel `kills` times; return the campaign with its counts and faults."""
     one = Campaign(runs, seed)
-    run = one.begin_run()
+    run = None
     try:
+        run = one.begin_run()
         while one.counts["kills"] < kills:
             if run.process.poll() is not None:
                 one.finish(run)
@@ -163,8 +170,17 @@ def campaign(runs: Path, kills: int, seed: int) -> Campaign:
         one.finish(run)
     finally:
         one.kill()
-        run.close()
+        if run is not None:
+            run.close()
     return one
+
+
+def _answered(holds: Callable[[], bool]) -> bool:
+    """Return whether something holds; a request that the panel does not answer counts as no."""
+    try:
+        return holds()
+    except httpx.HTTPError:
+        return False
 
 
 def main() -> None:

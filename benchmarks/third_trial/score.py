@@ -178,9 +178,8 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
     if trial == "main":
         said += [*_coefficients(found), *_posteriors(found)]
         for group in ("catalogue", "outside"):
-            said += [
-                f"{group} cases, {line}" for line in _posteriors([o for o in found if o["group"] == group])
-            ]
+            of_group = _posteriors([one for one in found if one["group"] == group])
+            said += [f"{group} cases, {line.rpartition(': ')[0]}" for line in of_group]
     cpu = np.quantile([one["cpu"] for one in found if "cpu" in one], [0.5, 0.95])
     lines += ["", *said, f"CPU of a diagnosis: median {cpu[0]:.2f} s, 95 % {cpu[1]:.2f} s"]
     return "\n".join(lines), sum(line.endswith("NOT MET") for line in said)
@@ -210,7 +209,8 @@ def _posteriors(found: Sequence[Record]) -> list[str]:
     """Compare stated probabilities with how often they are right, in five bins with 99 % binomial limits.
 
     All forms without a name count as one. The diagnosis expects 24 times as many effects of the catalogue as forms
-    without a name (`KIND_PRIOR`); the trial draws equally many. Therefore each group is judged by itself, too.
+    without a name (`KIND_PRIOR`); the trial draws equally many. Therefore the bins of each group are printed,
+    too, without a judgement.
     """
     stated: list[tuple[float, bool]] = []
     for one in (one for one in found if one.get("odds")):

@@ -32,16 +32,20 @@ class Agilent34401A(ScpiVoltmeter):
     """A `Voltmeter` with one signal."""
 
     dialects: Mapping[str, SingleChannelDialect] = dict.fromkeys(facts.MODELS, DIALECT_34401A)
-    """The accepted models, by the name in their identity."""
+    """The accepted models, by the name in their identity; the first is assumed before `open`."""
     _dialect = DIALECT_34401A
 
     models: tuple[str, ...] = facts.MODELS
     called = "a 34401A"
     hint = "a 34461A must be told SYST:IDEN HP34401A once"
 
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        cls._dialect = next(iter(cls.dialects.values()))
+
     @property
     def limits(self) -> VoltmeterLimits:
-        """The limits of the connected model; before `open`, the limits of the model that names the driver."""
+        """The limits of the connected model; before `open`, the limits of the first model in `dialects`."""
         return self._dialect.limits
 
     def _accept(self, identity: Identity, reply: str) -> None:

@@ -26,7 +26,6 @@ class Keysight34461A(Agilent34401A):
     """A `Voltmeter` with one signal. `interface` is "lan" (also for USB) or "gpib"; there is no RS-232."""
 
     dialects = DIALECTS
-    _dialect = DIALECTS[facts.MODEL]
     models = tuple(DIALECTS)
     called = "a 34460A, 34461A, 34465A or 34470A, nor one that emulates a 34401A"
     hint = "the meter's own is under Utility, I/O Config"
