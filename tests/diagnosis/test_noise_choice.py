@@ -10,7 +10,7 @@ from bench.diagnosis.evidence import null_responses
 from bench.diagnosis.noise_grid import RATIOS, make_whitener
 from bench.diagnosis.noise_kinds import larger_scatter, noise_hypotheses, residuals, slow_noise
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.search import SearchTask, find_effects
+from bench.diagnosis.search import SearchTask, find_effects, in_the_noise_of
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 
@@ -231,3 +231,32 @@ def test_an_effect_that_changes_between_repeats_leaves_the_noise_right(seed):
     assert [one.variant.family for one in naming.found] == ["thermal_scale"]
     assert prepared.whitened.grid.sigma == pytest.approx(NOISE_V, rel=0.2)
     assert prepared.repeats.sigma < 1.5 * NOISE_V
+
+
+def test_an_outlier_leaves_the_noise_right():
+    """One reading is 40 u off (seed 97); nothing named is found, and yet the noise follows the find."""
+    run = paper_run(np.random.default_rng([97, 0]))
+    signal = run.signal.copy()
+    signal[20, 1] += 40 * NOISE_V
+    task = SearchTask(MODEL, STAND, 0.0, OneThreshold())
+    prepared, naming = find_effects(task, replace(run, signal=signal))
+    assert [one.variant.family for one in naming.found] == ["single_reading"]
+    assert prepared.whitened.grid.sigma == pytest.approx(NOISE_V, rel=0.2)
+
+
+def rounded(seed, digit):
+    run = paper_run(np.random.default_rng(seed))
+    return replace(run, signal=np.round(run.signal / digit) * digit)
+
+
+def test_a_coarse_digit_is_not_another_kind_of_noise():
+    """A digit of four times the noise (seed 400): heavy tails won, as their noise was fixed."""
+    prepared, naming = find_effects(SearchTask(MODEL, STAND, 60e-6, OneThreshold()), rounded([400, 9], 60e-6))
+    assert not prepared.chosen
+    assert not naming.found
+
+
+def test_rounding_that_repeats_share_counts_once_in_another_model():
+    linear = SearchTask(MODEL, STAND, 90e-6, OneThreshold()).linear(rounded(7, 90e-6))
+    assert linear.of_noise > 0
+    assert np.array_equal(in_the_noise_of(linear, linear).random, linear.random)
