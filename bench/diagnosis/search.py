@@ -34,6 +34,7 @@ from bench.diagnosis.noise_grid import (
 from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
 from bench.diagnosis.posterior import (
     NoiseSize,
+    Posterior,
     applied_of,
     beside,
     fit_found,
@@ -286,15 +287,9 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
-    sigma = task.smaller_noise(prepared.whitened.grid, noise)
-    fresh = None
-    if sigma is None:
-        sigma = prepared.whitened.grid.sigma
-    else:
-        left = linear.response - candidates.columns[:, list(naming.columns)] @ fitted.amplitudes
-        repeats = task.repeats(replace(linear, response=left), prepared.repeats.sigma)
-        whitened, data = task.whiten(linear, candidates, sigma)
-        prepared = fresh = replace(prepared, repeats=repeats, whitened=whitened, data=data)
+    fresh = _with_smaller_noise(task, prepared, naming, noise, fitted)
+    prepared = fresh or prepared
+    sigma = prepared.whitened.grid.sigma
     parts = [(f.variant, fitted.amplitudes[place]) for f, place in naming.sizes() if f.variant.named]
     if not parts:
         return fresh
@@ -320,6 +315,20 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
     whitened, data = task.whiten(about, told, sigma)
     return replace(prepared, linear=about, whitened=whitened, data=data, bend=moved - back)
+
+
+def _with_smaller_noise(
+    task: SearchTask, prepared: Prepared, naming: Naming, noise: NoiseSize, fitted: Posterior
+) -> Prepared | None:
+    """Return the readings whitened with the noise about the finds, if that is smaller; None otherwise."""
+    linear, candidates = prepared.linear, prepared.candidates
+    sigma = task.smaller_noise(prepared.whitened.grid, noise)
+    if sigma is None:
+        return None
+    left = linear.response - candidates.columns[:, list(naming.columns)] @ fitted.amplitudes
+    repeats = task.repeats(replace(linear, response=left), prepared.repeats.sigma)
+    whitened, data = task.whiten(linear, candidates, sigma)
+    return replace(prepared, repeats=repeats, whitened=whitened, data=data)
 
 
 # --- what one of several runs has alone: looked for in each, beside what was found in all of them together ----
