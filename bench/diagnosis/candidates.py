@@ -17,7 +17,7 @@ from bench.diagnosis.levels import ALIKE, MARK_DEG
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
-from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter
+from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage
 from bench.model.effects.base import pass_label
 from bench.readings.columns import METER_C, ROOM_C, meter_c
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
@@ -337,7 +337,13 @@ def _add_effect(collector: Collector, effect: Effect, mount_sets: MountSets, *, 
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     if effect.per_pass:
-        yield from ((spell,) for spell in spells(linear.readings, lasting=effect.outlasts_mount))
+        in_spells = list(spells(linear.readings, lasting=effect.outlasts_mount))
+        if effect.outlasts_mount and effect.stage in (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING):
+            # the coefficients absorb a change of the whole run; let them be those before a step, not after it
+            first = str(linear.conditions.mounts[0])
+            before = ((first,), (pass_label(first, int(linear.readings.pass_number[0])),))
+            in_spells = [one for one in in_spells if one not in before]
+        yield from ((spell,) for spell in in_spells)
         return
     if not effect.per_mount:
         yield ((),)

@@ -218,6 +218,11 @@ def name(
     )
 
 
+def named_again(whitened: Whitened, data: Data, threshold: Threshold, found: Sequence[FoundEffect]) -> Naming:
+    """Return these finds, each replaced by an effect that fits better beside the others, with their odds."""
+    return name(whitened, data, threshold, 0, _re_examine(whitened, data, list(found)))
+
+
 def find(
     whitened: Whitened,
     data: Data,
@@ -254,8 +259,8 @@ def _re_examine(
     whitened: Whitened,
     data: Data,
     found: list[FoundEffect],
-    among: Among | None,
-    kept: int,
+    among: Among | None = None,
+    kept: int = 0,
 ) -> list[FoundEffect]:
     """Test each find after the first `kept` again, given all others: another effect may now fit better."""
     for _ in range(2):

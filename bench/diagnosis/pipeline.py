@@ -19,7 +19,16 @@ from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks
-from bench.diagnosis.naming import FamilyOdds, FoundEffect, Naming, Scored, find, name, same_signature
+from bench.diagnosis.naming import (
+    FamilyOdds,
+    FoundEffect,
+    Naming,
+    Scored,
+    find,
+    name,
+    named_again,
+    same_signature,
+)
 from bench.diagnosis.next_measurement import Proposal, propose
 from bench.diagnosis.noise_grid import RATIOS, digit_of
 from bench.diagnosis.noise_kinds import NoiseFinding, noise_findings, noise_kinds
@@ -167,7 +176,7 @@ def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[Fou
     ]
     if weak:
         others = [one for one in naming.found if one not in weak]
-        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, others)
+        naming = named_again(prepared.whitened, prepared.data, prepared.limit, others)
         estimated = _estimated(prepared, naming)
     return estimated, weak
 

@@ -21,7 +21,7 @@ from bench.diagnosis.evidence import FALSE_ALARMS, Data, Search, Threshold, Thre
 from bench.diagnosis.levels import BY_CHANCE, FEW, STEPS, UNSEEN
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.multi_run_system import candidates_of, make_system
-from bench.diagnosis.naming import ALIAS, MOST_EFFECTS, FoundEffect, Naming, Scored, name
+from bench.diagnosis.naming import ALIAS, MOST_EFFECTS, FoundEffect, Naming, Scored, name, named_again
 from bench.diagnosis.noise_grid import (
     SAME_SIZE,
     NoiseGrid,
@@ -264,7 +264,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
     if all(one.variant in before for one in kept):
         # the finds left out stand for parts of other shapes, without which the odds would be those of a misfit
         return Naming(tuple(before[one.variant] for one in kept), naming.left)
-    return name(prepared.whitened, prepared.data, prepared.limit, 0, begun=kept)
+    return named_again(prepared.whitened, prepared.data, prepared.limit, kept)
 
 
 def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
