@@ -15,9 +15,10 @@ from bench.diagnosis.noise_grid import Repeats, make_whitener
 from bench.diagnosis.noise_kinds import larger_scatter
 from bench.diagnosis.pipeline import values_of
 from bench.diagnosis.posterior import NoiseSize
-from bench.diagnosis.residual_dictionary import dictionary
+from bench.diagnosis.residual_dictionary import FORCES, dictionary
 from bench.diagnosis.result import UNNAMED_FORM, UnexplainedScatter
 from bench.model import Stage
+from bench.model.effects.formula import ValueReading, interpret
 from bench.results.diagnosis_parts import form_part
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, columns_by_model, paper_run
@@ -58,6 +59,13 @@ def test_every_term_is_a_formula_that_a_file_may_hold(terms):
             effect = term.effect(f"unnamed_{number}", per_channel=per_channel)
             (read,) = effects_as_written(written_formulas([effect])) or (None,)
             assert read == effect, effect.expression
+
+
+def test_a_form_of_the_force_is_zero_at_no_force():
+    """So the bias that a model with the form gives is the signal at no force, and not half a step beside it."""
+    nothing = ValueReading(dict.fromkeys(("a", "aj", "ak"), np.zeros(1)), lambda of, _: of)
+    for text in (text for texts in FORCES.values() for text in texts):
+        assert interpret(text, nothing) == 0.0, text
 
 
 def test_its_columns_are_differences_of_the_forward_model(terms):

@@ -16,7 +16,7 @@ from bench.diagnosis.evidence import (
     null_responses,
     total_evidence,
 )
-from bench.diagnosis.naming import ALIAS, Scored, in_place, needed
+from bench.diagnosis.naming import ALIAS, Scored, in_place, named_again, needed
 from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, noise_findings
 from bench.diagnosis.posterior import NoiseSize
 from bench.model import CATALOGUE, AppliedEffect
@@ -92,6 +92,20 @@ def test_a_find_that_is_not_needed_beside_the_others_goes():
     square, drift = scored.found("quadratic_nonlinearity"), scored.found("bias_drift")
     assert needed(one.whitened, data, [drift, square], limit) == [square]
     assert needed(one.whitened, data, [square], limit) == [square]
+
+
+def test_a_find_that_another_effect_explains_better_gets_its_name():
+    """Beside the drift of z, the square of y was called a cube: the largest odds decide again."""
+    one = set_up(paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0)))
+    data = one.whitened.reduce(one.linear.response[:, None])
+    scored = Scored.beside(one.whitened, data, ())
+    finds = [scored.found("cubic_nonlinearity"), scored.found("bias_drift")]
+    limit = Threshold(2.0, FALSE_ALARMS, 1.0, 0.05, 1.0, NULLS)
+    again = named_again(one.whitened, data, limit, finds)
+    assert again.found[0].variant.family == "quadratic_nonlinearity"
+    for found in again.found:
+        likeliest = max((odds for odds in found.odds), key=lambda odds: odds.probability)
+        assert likeliest.name == found.variant.family
 
 
 def test_what_is_hardly_there_does_not_tie_with_everything():
