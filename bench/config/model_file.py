@@ -328,6 +328,18 @@ class _Reader:
 # --- writing ----------------------------------------------------------------------------------------
 
 
+class _Dumper(yaml.SafeDumper):
+    """A writer of YAML with each entry of `changes` on one line, so that the entries read as a table."""
+
+    def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
+        node = super().represent_mapping(tag, mapping, flow_style)
+        for key, value in node.value:
+            if key.value == "changes":
+                for change in value.value:
+                    change.flow_style = True
+        return node
+
+
 def write_model_file(
     path: Path,
     name: str,
@@ -347,7 +359,7 @@ def write_model_file(
     content: dict[str, Any] = {"model_file": int(FORMAT), "name": name, "parent": parent}
     content |= {key: value for key, value in stated.items() if value is not None}
     content |= written_effects(effects)
-    text = yaml.safe_dump(content, sort_keys=False, allow_unicode=True, width=110)
+    text = yaml.dump(content, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=110)
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -28,7 +28,7 @@ CREEPS_MIN: Final = (1, 4, 16)
 """Times, min, after which a creep grows with ln of the time: a factor of four apart, as ln hardly differs."""
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 """Specific forces, g, at which a step is tried: every 0.2 g, and close to zero."""
-STEPS: Final = tuple(f"(a {'<' if level < 0.0 else '>'} {level:g})" for level in LEVELS)
+FORCE_STEPS: Final = tuple(f"(a {'<' if level < 0.0 else '>'} {level:g})" for level in LEVELS)
 """Steps at these levels, zero at no force, so that the bias stays the signal at no force."""
 
 
@@ -230,7 +230,7 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
                 yield _of_course(course, what, Stage.STAND, ANGLE, angle)
     for words, expressions in FORCES.items():
         for text in expressions:
-            yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), STEP if text in STEPS else SQUARE)
+            yield DictionaryTerm(words, Stage.BLOCK_OUTPUT, (text,), STEP if text in FORCE_STEPS else SQUARE)
     if linear.readings.unit == "V":
         yield from _of_voltmeters(courses)
 
@@ -266,7 +266,7 @@ FORCES: Final[dict[str, tuple[str, ...]]] = {
     "a third power of the specific force": ("a**3", "a**2 * aj", "a**2 * ak", "a * aj**2", "aj**3", "ak**3"),
     "a fourth or fifth power of the specific force": ("a**4", "a**5"),
     "the size of the specific force": ("abs(a)", "a * abs(a)", "abs(aj)", "abs(ak)"),
-    "a step at a level of the specific force": (*STEPS, "tanh(20 * aj)", "tanh(20 * ak)"),
+    "a step at a level of the specific force": (*FORCE_STEPS, "tanh(20 * aj)", "tanh(20 * ak)"),
 }
 
 
