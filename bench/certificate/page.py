@@ -311,7 +311,7 @@ def _faults(pdf: Any) -> Iterator[str]:
 
 
 def _metadata(pdf: Any) -> Iterator[str]:
-    told = pdf.open_metadata()  # for reading alone: as a context it would be written anew
+    told = pdf.open_metadata()  # read only: as a context manager it would be written back
     part, level = told.get(f"{{{_PDFA}}}part"), told.get(f"{{{_PDFA}}}conformance")
     if (part, level) != ("3", "B"):
         yield f"6.6.4: it states part {part}, level {level}, and not part 3, level B"

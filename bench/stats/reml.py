@@ -107,7 +107,7 @@ class Projection:
         """Return the scores: the derivatives of ln L by the variances, shape (k,)."""
         row, column = Z.whole.indices, np.repeat(np.arange(Z.whole.shape[1]), np.diff(Z.whole.indptr))
         terms = Z.whole.data * (self.P @ Z.whole)[row, column]
-        traces = Z.sums(np.bincount(column, terms, Z.whole.shape[1]))
+        traces = Z.sums(np.asarray(np.bincount(column, terms, Z.whole.shape[1]), dtype=np.float64))
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
     def _squares(self, Z: ComponentColumns) -> Floats:
