@@ -311,13 +311,13 @@ def _faults(pdf: Any) -> Iterator[str]:
 
 
 def _metadata(pdf: Any) -> Iterator[str]:
-    with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as told:
-        part, level = told.get(f"{{{_PDFA}}}part"), told.get(f"{{{_PDFA}}}conformance")
-        if (part, level) != ("3", "B"):
-            yield f"6.6.4: it states part {part}, level {level}, and not part 3, level B"
-        title = pdf.docinfo.get("/Title") if "/Info" in pdf.trailer else None
-        if title is not None and str(title) != told.get("dc:title"):
-            yield "6.6.3: its title in the document information differs from its metadata"
+    told = pdf.open_metadata()  # read only: as a context manager it would be written back
+    part, level = told.get(f"{{{_PDFA}}}part"), told.get(f"{{{_PDFA}}}conformance")
+    if (part, level) != ("3", "B"):
+        yield f"6.6.4: it states part {part}, level {level}, and not part 3, level B"
+    title = pdf.docinfo.get("/Title") if "/Info" in pdf.trailer else None
+    if title is not None and str(title) != told.get("dc:title"):
+        yield "6.6.3: its title in the document information differs from its metadata"
 
 
 def _colours(pdf: Any) -> Iterator[str]:

@@ -285,8 +285,7 @@ def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
     try:
         with pikepdf.open(io.BytesIO(file)) as pdf:
             found = {name: one.get_file().read_bytes() for name, one in pdf.attachments.items()}
-            with pdf.open_metadata(set_pikepdf_as_editor=False, update_docinfo=False) as told:
-                return found, str(told.get("dc:title", ""))
+            return found, str(pdf.open_metadata().get("dc:title", ""))
     except (pikepdf.PdfError, ValueError, KeyError, AttributeError) as error:
         raise NotIntact("its attached files cannot be read") from error
 

@@ -35,6 +35,11 @@ class ComponentColumns:
     whole: sparse.csc_array
     starts: Ints
 
+    @property
+    def widths(self) -> Ints:
+        """The number of columns of each component (k,)."""
+        return np.diff([*self.starts, self.whole.shape[1]])
+
     @classmethod
     def of(cls, Z: Sequence[Floats]) -> ComponentColumns:
         """Return the columns of dense components (N, q_k)."""
@@ -46,10 +51,10 @@ class ComponentColumns:
         return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
 
     def sized(self, sizes: Floats) -> sparse.csc_array:
-        """Return each column multiplied by the size (k,) of its component, without the components of size zero."""
-        by_column = np.repeat(sizes, np.diff([*self.starts, self.whole.shape[1]]))
-        kept = np.flatnonzero(by_column)
-        return sparse.csc_array(self.whole[:, kept] @ sparse.diags_array(by_column[kept]))
+        """Return each column multiplied by the size (k,) of its component."""
+        by_column = np.repeat(sizes, self.widths)
+        data = self.whole.data * np.repeat(by_column, np.diff(self.whole.indptr))
+        return sparse.csc_array((data, self.whole.indices, self.whole.indptr), self.whole.shape)
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,7 @@ class Mixed:
     def covariance(self, theta: Floats) -> Floats:
         """Return V (N, N) for variances (k,)."""
         sized = self.columns.sized(np.sqrt(theta))
-        return np.asarray(self.known + (sized @ sized.T).toarray())
+        return np.asarray(self.known + sized @ sized.toarray().T)
 
     def only(self, kept: Mask) -> Mixed:
         """Return the model with only those components where `kept` (k,) is true."""
@@ -100,7 +105,9 @@ class Projection:
 
     def scores(self, Z: ComponentColumns) -> Floats:
         """Return the scores: the derivatives of ln L by the variances, shape (k,)."""
-        traces = Z.sums(np.asarray(Z.whole.multiply(self.P @ Z.whole).sum(axis=0)).ravel())
+        row, column = Z.whole.indices, np.repeat(np.arange(Z.whole.shape[1]), np.diff(Z.whole.indptr))
+        terms = Z.whole.data * (self.P @ Z.whole)[row, column]
+        traces = Z.sums(np.asarray(np.bincount(column, terms, Z.whole.shape[1]), dtype=np.float64))
         return np.asarray(0.5 * (self._squares(Z) - traces))
 
     def _squares(self, Z: ComponentColumns) -> Floats:
@@ -116,10 +123,8 @@ class Projection:
     def average_information(self, Z: ComponentColumns) -> Floats:
         """Return 1/2 y^T P V_k P V_l P y, shape (k, k)."""
         by_column = Z.whole.T @ self.Py
-        ends = [*Z.starts[1:], len(by_column)]
-        moved = np.stack(
-            [Z.whole[:, i:j] @ by_column[i:j] for i, j in zip(Z.starts, ends, strict=True)], axis=1
-        )
+        component = np.repeat(np.arange(len(Z.starts)), Z.widths)
+        moved = Z.whole @ (by_column[:, None] * (component[:, None] == np.arange(len(Z.starts))))
         return np.asarray(0.5 * moved.T @ self.P @ moved)
 
 

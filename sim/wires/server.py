@@ -32,6 +32,7 @@ class TcpTransport:
     terminator = TERMINATOR
 
     def __init__(self, connection: socket.socket) -> None:
+        self.source: int | socket.socket = connection
         self._socket = connection
         connection.setblocking(True)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -243,6 +244,7 @@ class TerminalTransport:
     terminator = b"\r\n"
 
     def __init__(self, master: int) -> None:
+        self.source: int | socket.socket = master
         self._master = master
         self._wake_read, self._wake_write = os.pipe()
         self._closed = False

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+import select
 import threading
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
 from drivers.clock import Clock, SystemClock
 
 if TYPE_CHECKING:
+    import socket
     from collections.abc import Iterator
 
 
@@ -29,9 +31,10 @@ class Doing(Enum):
 
 
 class Busy(Protocol):
-    """A session as `Traffic` sees it. `doing` is set through `Traffic.mark`."""
+    """A session as `Traffic` sees it. `doing` is set through `Traffic.mark`; input arrives at `source`."""
 
     doing: Doing
+    source: int | socket.socket
 
     def has_work(self) -> bool:
         """Return whether the session is working or has unread input."""
@@ -67,9 +70,17 @@ class Traffic:
     def _wait_for_others(self, own: Busy | None) -> None:
         for _ in range(_SETTLE_LOOKS):
             with self._changed:
-                if not any(s is not own and s.has_work() for s in self._sessions):
+                if not self._others_work(own):
                     return
                 self._changed.wait(_SETTLE_LOOK_S)
+
+    def _others_work(self, own: Busy | None) -> bool:
+        others = [session for session in self._sessions if session is not own]
+        with suppress(OSError, ValueError):  # a wire is closed, or there is none
+            # nearly always nothing is there, which one look at all wires shows
+            if not select.select([session.source for session in others], [], [], 0.0)[0]:
+                return any(session.doing is Doing.WORKING for session in others)
+        return any(session.has_work() for session in others)
 
     def enter(self, session: Busy) -> None:
         """Register a session, which runs in the calling thread."""
@@ -180,10 +191,11 @@ def line_ends_of(dialect: Dialect) -> LineEnds:
 class Transport(Protocol):
     """The wire of one client. `terminator` ends each reply unless the dialect defines another end.
 
-    Any method may raise `OSError`.
+    Input arrives at `source`, for `select`. Any method may raise `OSError`.
     """
 
     terminator: bytes
+    source: int | socket.socket
 
     def wait(self) -> None:
         """Wait for input or for the wire to be closed."""
@@ -377,6 +389,7 @@ class Session:
         clock: Clock | None = None,
     ) -> None:
         self.doing = Doing.LISTENING
+        self.source = transport.source
         self._transport = transport
         self._instrument = instrument
         self._traffic = instrument.traffic

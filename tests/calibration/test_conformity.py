@@ -280,6 +280,7 @@ def test_with_a_population_the_guard_band_is_where_its_risk_is(mean, deviation):
 def test_risks_of_several_points_of_blocks_that_are_drawn(errors, monkeypatch):
     """700 blocks (seed 4) of four points with one error, or one each: five bins within chance at 1 % (Holm)."""
     monkeypatch.setattr(conformity, "_DRAWS", 2_500)
+    monkeypatch.setattr(conformity, "_AT_ONCE", 2_500)
     rng = np.random.default_rng(4)
     population, covariance = Population(0.2, 0.6), correlated(4, 0.01) * 0.04
     true = np.broadcast_to(rng.normal(0.2, 0.6, (700, errors)), (700, 4))
