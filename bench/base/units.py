@@ -11,39 +11,43 @@ import inspect
 import math
 import re
 import types
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Annotated, Any, Final, Union, get_args, get_origin
+from functools import cache, lru_cache
+from typing import TYPE_CHECKING, Annotated, Any, Final, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BeforeValidator
 
 from bench.base.text import shortened
 
-_PREFIXES: Final = {"": 1.0, "nano": 1e-9, "n": 1e-9, "micro": 1e-6, "u": 1e-6, "milli": 1e-3, "m": 1e-3}
-_DEFINED: Final[dict[tuple[str, ...], tuple[float, str]]] = {
-    ("meter", "m"): (1.0, "m"),
-    ("second", "s"): (1.0, "s"),
-    ("minute", "min"): (60.0, "s"),
-    ("hour", "h"): (3600.0, "s"),
-    ("day", "d"): (86400.0, "s"),
-    ("year",): (365.25 * 86400.0, "s"),
-    ("hertz", "Hz"): (1.0, "1/s"),
-    ("volt", "V"): (1.0, "V"),
-    ("ampere", "A"): (1.0, "A"),
-    ("radian", "rad"): (1.0, "rad"),
-    ("degree", "deg"): (math.pi / 180.0, "rad"),
-    ("arcminute", "arcmin"): (math.pi / 10800.0, "rad"),
-    ("arcsecond", "arcsec"): (math.pi / 648000.0, "rad"),
-    ("revolution", "rev"): (math.tau, "rad"),
-    ("degree_Celsius", "degC", "kelvin", "K"): (1.0, "K"),
-    ("local_gravity", "g"): (1.0, "g"),
-    ("percent",): (0.01, ""),
-    ("ppm",): (1e-6, ""),
-}
-"""Names, size and SI unit of the units that a bench needs; any other (kg, mT) is rejected as a typing error."""
-_SIZES: Final = {name: size for names, size in _DEFINED.items() for name in names}
+if TYPE_CHECKING:
+    from pint import UnitRegistry
+
+_DEFINITIONS: Final = (
+    "nano- = 1e-9 = n-",
+    "micro- = 1e-6 = u-",
+    "milli- = 1e-3 = m-",
+    "meter = [length] = m",
+    "second = [time] = s",
+    "minute = 60 second = min",
+    "hour = 3600 second = h",
+    "day = 86400 second = d",
+    "year = 365.25 day",
+    "hertz = 1 / second = Hz",
+    "volt = [voltage] = V",
+    "ampere = [current] = A",
+    "radian = [angle] = rad",
+    f"degree = {math.pi!r} / 180 radian = deg",
+    f"arcminute = {math.pi!r} / 10800 radian = arcmin",
+    f"arcsecond = {math.pi!r} / 648000 radian = arcsec",
+    f"revolution = {math.tau!r} radian = rev",
+    "degree_Celsius = [celsius] = degC",
+    "kelvin = degree_Celsius = K",
+    "local_gravity = [gravity] = g",
+    "percent = 0.01",
+    "ppm = 1e-6",
+)
+"""Definitions of the units that a bench needs; any other unit (kg, mT) is rejected as a typing error."""
 
 _UNITS: Final = ("V", "mV", "uV", "A", "mA", "uA", "deg", "arcmin", "arcsec", "rad", "mrad", "urad", "rev", "s",
                  "ms", "min", "h", "d", "year", "Hz", "m", "mm", "degC", "K", "g", "mg", "ug", "ppm",
@@ -53,7 +57,6 @@ _QUANTITY: Final = re.compile(
     r"\s*(?P<number>[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)\s*(?P<unit>.*?)\s*"
 )
 _UNIT: Final = re.compile(r"(?:1|[A-Za-z_]+(?:\^-?[0-9])?)(?:\s*[*/ ]\s*[A-Za-z_]+(?:\^-?[0-9])?)*")
-_PART: Final = re.compile(r"([*/]?)\s*([A-Za-z_]+)(?:\^(-?[0-9]))?")
 _SPELLINGS: Final = (
     ("°C", "degC"), ("℃", "degC"), ("°", "deg"), ("″", "arcsec"), ("′", "arcmin"), ("%", "percent"),
     ("µ", "u"), ("μ", "u"), ("²", "^2"), ("³", "^3"), ("·", "*"), ("**", "^"),
@@ -92,34 +95,15 @@ FREQUENCY: Final = QuantityKind("a frequency", "50 Hz", "Hz")
 RATIO: Final = QuantityKind("a plain number", "0.01", "")
 
 
-@lru_cache(maxsize=256)
-def _named(name: str) -> tuple[float, str]:
-    """Return size and SI unit of a unit with or without a prefix, of one or (with an s) of many.
+@cache
+def _registry() -> UnitRegistry[float]:
+    """Return the unit registry, built on first use because importing pint is slow."""
+    from pint import UnitRegistry
 
-    Raises `ValueError` for an unknown unit.
-    """
-    for prefix, factor in _PREFIXES.items():
-        stem = name[len(prefix) :]
-        one = stem.removesuffix("s") if len(stem) > 2 else stem  # "s" itself, and no amperes as "As"
-        if name.startswith(prefix) and (found := _SIZES.get(stem) or _SIZES.get(one)):
-            return factor * found[0], found[1]
-    near = difflib.get_close_matches(name, _UNITS, n=1)
-    hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
-    raise ValueError(f"unknown unit '{name}'{hint}")
-
-
-def _in_si(unit: str) -> tuple[float, dict[str, float]]:
-    """Return the size of a unit such as "ug/g^2" in SI units, and its powers of these.
-
-    Raises `ValueError` for an unknown unit.
-    """
-    size, powers = 1.0, Counter[str]()
-    for by, name, power in _PART.findall(unit):
-        times = (-1 if by == "/" else 1) * int(power or 1)
-        factor, si = _named(name)
-        size *= factor**times
-        powers[si.removeprefix("1/")] += -times if si.startswith("1/") else times
-    return size, {si: float(power) for si, power in powers.items() if si and power}
+    registry: UnitRegistry[float] = UnitRegistry(None)
+    for definition in _DEFINITIONS:
+        registry.define(definition)
+    return registry
 
 
 @lru_cache(maxsize=256)
@@ -128,8 +112,15 @@ def _factor(unit: str, si: str) -> float | None:
 
     Raises `ValueError` for an unknown unit.
     """
-    (size, powers), (one, wanted) = _in_si(unit), _in_si(si)
-    return size * (1.0 / one) if powers == wanted else None
+    registry = _registry()
+    for name in re.findall(r"[A-Za-z_]+", unit):
+        if name not in registry:
+            near = difflib.get_close_matches(name, _UNITS, n=1)
+            hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
+            raise ValueError(f"unknown unit '{name}'{hint}")
+    one = registry.Quantity(1.0, registry.parse_units(unit))
+    wanted = registry.parse_units(si)
+    return float(one.to(wanted).magnitude) if one.is_compatible_with(wanted) else None
 
 
 def parse_quantity(text: object, kind: QuantityKind) -> float:
@@ -200,10 +191,20 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
         raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
-    size, powers = _in_si(unit)
-    return size, tuple(sorted((si, power) for si, power in powers.items() if si not in _PLAIN))
+    _factor(unit, "")
+    dimensionality: Mapping[str, Any] = (
+        _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality
+    )
+    powers = [(_SI_OF[name], float(power)) for name, power in dimensionality.items()]
+    factor = _factor(unit, " * ".join(f"{si} ** {power:g}" for si, power in powers))
+    kept = tuple(sorted((si, power) for si, power in powers if si not in _PLAIN))
+    return (1.0 if factor is None else factor), kept
 
 
+_SI_OF: Final = {
+    "[time]": "s", "[length]": "m", "[voltage]": "V", "[current]": "A", "[celsius]": "K", "[angle]": "rad",
+    "[gravity]": "g",
+}  # fmt: skip
 _PLAIN: Final = ("rad", "g")
 
 

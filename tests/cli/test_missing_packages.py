@@ -95,7 +95,9 @@ def test_a_seal_stands_without_the_package_of_its_time_stamp(bench, hide):
 def test_every_package_that_is_imported_comes_with_the_program_or_is_known_with_its_extra():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert set(EXTRAS) <= set(project["optional-dependencies"])
-    brought = "numpy babel scipy yaml pydantic typer rich matplotlib jinja2 openpyxl packaging pyvisa serial "
+    brought = (
+        "numpy babel scipy yaml pydantic pint typer rich matplotlib jinja2 openpyxl packaging pyvisa serial "
+    )
     brought += "platformdirs filelock markupsafe pydantic_core bench drivers sim"
     known = {*brought.split()} | {package for packages in EXTRAS.values() for package in packages}
     for path in (p for top in ("bench", "drivers", "sim") for p in (ROOT / top).rglob("*.py")):
