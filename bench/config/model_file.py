@@ -165,9 +165,8 @@ def _left_open_mistakes(
     entries: Any, place: Place, installations: Collection[str]
 ) -> Iterator[tuple[Place, str]]:
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
-        key = "changes" if part(entry, "changes") else "effects"
-        here: Place = (*place, index, key)
-        effects = part(entry, key)
+        here: Place = (*place, index, "changes")
+        effects = part(entry, "changes")
         wrong = list(effect_mistakes(effects, here, installations))
         yield from wrong
         if wrong or not isinstance(effects, list):
