@@ -122,6 +122,10 @@ class ScpiInstrument:
     def reset(self) -> None:
         """Carry out *RST; a subclass resets its settings."""
 
+    def self_test(self) -> int:
+        """Carry out *TST? and return 0 (passed) or 1."""
+        return 0
+
     def number(self, value: float) -> str:
         """Format `value`, rounded, as the instrument does: `+20`."""
         return integer(value)
@@ -200,7 +204,7 @@ class ScpiInstrument:
             Command("*OPC?", lambda: "1"),
             Command("*RST", self.reset),
             Command("*STB?", lambda: self.number(0)),  # nothing can be enabled to show in it
-            Command("*TST?", lambda: self.number(0)),
+            Command("*TST?", lambda: self.number(self.self_test())),
             Command("SYSTem:ERRor?", self.next_error),
         ]
 
