@@ -1,14 +1,11 @@
-"""Measure a batch over many run folders: how busy its processes are, their memory, the effect of kills.
+"""Measure a batch over many run folders: its duration, its memory, the effect of kills.
 
     python -m benchmarks.many_folders 10000 /var/tmp/laboratory --seed 1
     python -m benchmarks.batch_campaign busy '/var/tmp/laboratory/*' --count 10000
     python -m benchmarks.batch_campaign kills '/var/tmp/laboratory/*' --count 600 --kills 50 --seed 1
 
-`busy` carries out one batch and observes its processes every second (in /proc, so on Linux only). It reports
-in which share of their life after the first row the processes computed (CPU), and in which they computed or
-waited for a core (from `schedstat`), because other programs compete for cores. On an otherwise idle machine
-the two are equal. The rest of the time they waited for work from the program, or for the disk. Memory is the
-resident set of the program and of the largest process, by tenths of the runs.
+`busy` carries out one batch and reads the resident memory of its program and processes every second (in /proc, so
+on Linux only). It prints the duration and the largest memory of both.
 
 `kills` ends processes at random moments (SIGKILL): the program itself, a computing process, or the fork
 server from which these are copied. The program is then restarted with the same command. At the end every run
@@ -26,7 +23,6 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
@@ -40,49 +36,6 @@ from bench.model.geometry import COEFFICIENTS
 from benchmarks.campaign import PROGRAM, amiss, arguments
 
 _SAMPLE: Final = 20
-_TICKS: Final = os.sysconf("SC_CLK_TCK")
-
-
-@dataclass
-class Seen:
-    """Observations of a process: times (s) of the first and the last one; CPU and queue times (s), and memory."""
-
-    first: tuple[float, float, float]
-    last: tuple[float, float, float]
-    most_kb: int = 0
-
-
-@dataclass
-class Watch:
-    """The processes of one batch, observed repeatedly."""
-
-    program: int
-    workers: dict[int, Seen] = field(default_factory=dict)
-    memory: list[tuple[int, int, int]] = field(default_factory=list)
-
-    def look(self, done: int) -> None:
-        """Note times and memory of all living processes."""
-        largest = 0
-        for pid in workers_of(self.program):
-            found = times_of(pid)
-            if found is None:
-                continue
-            cpu, queued, kb = found
-            now = (time.monotonic(), cpu, queued)
-            one = self.workers.setdefault(pid, Seen(now, now))
-            one.last, one.most_kb = now, max(one.most_kb, kb)
-            largest = max(largest, kb)
-        mine = times_of(self.program)
-        if not largest:
-            return  # all have ended: only the tables are still written
-        self.memory.append((done, 0 if mine is None else mine[2], largest))
-
-    def shares(self) -> tuple[float, float]:
-        """Return the shares of their life in which the processes computed, and computed or waited for a core."""
-        life, cpu, queued = (
-            sum(one.last[k] - one.first[k] for one in self.workers.values()) for k in range(3)
-        )
-        return cpu / life, (cpu + queued) / life
 
 
 def children_of(pid: int) -> list[int]:
@@ -97,19 +50,13 @@ def workers_of(program: int) -> list[int]:
     return [pid for child in children_of(program) for pid in children_of(child)]
 
 
-def times_of(pid: int) -> tuple[float, float, int] | None:
-    """Return CPU time (s), threads' queue time (s) and memory (kB) of a process; None once it has ended."""
+def memory_of(pid: int) -> int:
+    """Return the resident memory of a process, kB; 0 once it has ended."""
     try:
-        stat = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        queued = sum(
-            int(task.joinpath("schedstat").read_text().split()[1])
-            for task in Path(f"/proc/{pid}/task").iterdir()
-        )
         status = Path(f"/proc/{pid}/status").read_text()
     except OSError:
-        return None
-    kb = next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
-    return (int(stat[11]) + int(stat[12])) / _TICKS, queued / 1e9, kb
+        return 0
+    return next((int(line.split()[1]) for line in status.splitlines() if line.startswith("VmRSS")), 0)
 
 
 def begin(over: str, runs: list[str], out: Path, options: argparse.Namespace) -> subprocess.Popen[bytes]:
@@ -118,10 +65,6 @@ def begin(over: str, runs: list[str], out: Path, options: argparse.Namespace) ->
     command = [*PROGRAM, "batch", "calibrate", "--over", over, "--out", str(out), *more]
     log = (out.parent / "log.txt").open("ab")
     return subprocess.Popen(command, stdout=log, stderr=log)  # noqa: S603 - our own program
-
-
-def rows_done(out: Path) -> int:
-    return sum(parquet.read_metadata(part).num_rows for part in (out / "parts").glob("part-*.parquet"))
 
 
 def chosen(options: argparse.Namespace, folder: Path) -> tuple[str, list[str]]:
@@ -140,28 +83,16 @@ def chosen(options: argparse.Namespace, folder: Path) -> tuple[str, list[str]]:
 def busy(options: argparse.Namespace, folder: Path) -> int:
     over, runs = chosen(options, folder)
     out = folder / "out"
-    began = time.monotonic()
+    began, largest = time.monotonic(), Counter[str]()
     program = begin(over, runs, out, options)
-    watch, first_row = Watch(program.pid), 0.0
     while program.poll() is None:
         time.sleep(1.0)
-        done = rows_done(out) if (out / "parts").is_dir() else 0
-        if done:
-            first_row = first_row or time.monotonic()
-            watch.look(done)
-    lasted = time.monotonic() - began
-    if not any(one.last > one.first for one in watch.workers.values()):
-        sys.exit(f"{len(runs)} runs ended between two observations: give more, by --count")
-    computed, wanted = watch.shares()
-    print(f"{len(runs)} runs in {lasted:.0f} s, {lasted - (first_row - began):.0f} s after the first part")
-    print(f"processes that computed, one after another: {len(watch.workers)}")
-    print(f"share of their time: computing {computed:.1%}, computing or waiting for a core {wanted:.1%}")
-    print("runs done   program, MB   largest process, MB")
-    for tenth in range(1, 11):
-        at = min(watch.memory, key=lambda one: abs(one[0] - tenth * len(runs) / 10))
-        print(f"{at[0]:9}   {at[1] / 1024:11.0f}   {at[2] / 1024:19.0f}")
-    wrong = checked(out, runs, random.Random(options.seed))  # noqa: S311 - to be repeated
-    return amiss(wrong, "WRONG")
+        largest["program"] = max(largest["program"], memory_of(program.pid))
+        for pid in workers_of(program.pid):
+            largest["process"] = max(largest["process"], memory_of(pid))
+    print(f"{len(runs)} runs in {time.monotonic() - began:.0f} s")
+    print(", ".join(f"largest {what} {kb / 1024:.0f} MB" for what, kb in largest.items()))
+    return amiss(checked(out, runs, random.Random(options.seed)), "WRONG")  # noqa: S311 - to be repeated
 
 
 # --- kills ------------------------------------------------------------------------------------------

@@ -3,12 +3,10 @@
     python -m benchmarks.many_folders 1000 /var/tmp/laboratory --seed 1 --benches 10 --units 100
 
 One real dry run of the paper's points (54 readings and four verification points) is the template. The others
-are drawn in numpy from a truth, which is stored in `truth.json` beside them: units with spread and drift,
-effects of benches, meters that move between benches, mounting, setting and noise of each run. Each folder has
-the inputs, a record with its true chain of hashes, and results. The coefficients are least-squares estimates
-with prior angles of the stand. Their covariance is the template's, from which each run's further errors are
-drawn. They differ from `bench calibrate` of the folder by a fraction of u. Every 33rd run has a quadratic
-term of x and z together that no calibration there models.
+are drawn in numpy: units with a spread, meters that move between benches, mounting, setting and noise of each run.
+Each folder has the inputs, a record with its true chain of hashes, and results. Covariance and residuals are those
+of the template. The stated coefficients differ from the true ones by errors of this covariance, and by some u from
+those that `bench calibrate` finds in the readings.
 """
 
 from __future__ import annotations
@@ -38,17 +36,12 @@ from bench.model.geometry import (
 from benchmarks.campaign import arguments, done
 from drivers.clock import utc_now
 
-# --- the truth: units that drift, benches with effects, and their readings -------------------------------
+# --- the truth: units, and their readings ---------------------------------------------------------------
 
 
 FIRST_DAY: Final = datetime(2016, 1, 4, 6, tzinfo=UTC)
 YEARS: Final = 10.0
-PASSES: Final = 3
-POINTS: Final = 9
 UNIT_SPREAD: Final = 2e-3
-BENCH_EFFECT: Final = 3e-5
-DRIFT_A_YEAR: Final = 3e-5
-"""Standard deviation of the drift of each coefficient, V/g and V per year."""
 STAND_SD: Final = np.array([5.0 / 3.0, 5.0 / 3.0, 30.0, 0.0, 0.0]) * ARCSEC
 VERIFIED: Final = Installation.from_axes("V", ("x", "y", "z"), np.pi / 4)
 INSTALLATIONS: Final = (INSTALLATION_1, INSTALLATION_2, VERIFIED)
@@ -58,14 +51,9 @@ TARGET_DEG: Final = np.concatenate([np.tile(np.arange(9) * 45.0, 6), np.arange(4
 
 @dataclass(frozen=True)
 class Truth:
-    """The true values behind the folders: units (U, 12), drift per year (U, 12), effects of benches (B, 12), runs.
-
-    Each run has a unit, a bench and a day.
-    """
+    """The coefficients of the units (U, 12), and unit, bench and day (since the first) of each run."""
 
     units: Floats
-    drift: Floats
-    benches: Floats
     unit: np.ndarray[Any, np.dtype[np.int64]]
     bench: np.ndarray[Any, np.dtype[np.int64]]
     day: Floats
@@ -75,20 +63,10 @@ class Truth:
         random = np.random.default_rng([seed, 1])
         return cls(
             mean + random.normal(0.0, UNIT_SPREAD, (units, 12)),
-            random.normal(0.0, DRIFT_A_YEAR, (units, 12)),
-            random.normal(0.0, BENCH_EFFECT, (benches, 12)),
             random.permutation(np.arange(count) % units),
             random.integers(0, benches, count),
             np.sort(random.uniform(0.0, YEARS * 365.25, count)),
         )
-
-    def to_json(self) -> dict[str, Any]:
-        """Return the drawn values; `runs` are the units, benches and days (since the first) of the runs."""
-        return {
-            "simulated": True, "order": list(COEFFICIENTS), "units": self.units.tolist(),
-            "drift_a_year": self.drift.tolist(), "benches": self.benches.tolist(),
-            "runs": [self.unit.tolist(), self.bench.tolist(), self.day.tolist()],
-        }  # fmt: skip
 
 
 def forces(angles: Floats, stand: Floats) -> Floats:
@@ -107,49 +85,6 @@ def signals(theta: Floats, force: Floats) -> Floats:
     """Return the signals K a + U0 (R, n, 3) for coefficients (R, 12)."""
     acting = np.einsum("rij,rnj->rni", theta[:, :9].reshape(-1, 3, 3), force)
     return np.asarray(acting + theta[:, None, 9:], dtype=np.float64)
-
-
-class Estimator:
-    """Least squares with prior stand angles and known reading noise, linearised about coefficients (12,)."""
-
-    def __init__(self, theta: Floats, noise_v: float) -> None:
-        fit = WHERE < 2
-        angles = np.radians(TARGET_DEG)[None]
-        still = np.zeros((1, 3, 5))
-        force = forces(angles, still)[:, fit]
-
-        def seen(stand: Floats) -> Floats:
-            return signals(theta[None], forces(angles, stand)[:, fit]).ravel()
-
-        at = seen(still)
-        of_block = np.stack([signals(row[None], force).ravel() for row in np.eye(12)], axis=1)
-        columns = []
-        for place in range(2):
-            for angle in np.flatnonzero(STAND_SD):
-                stand = still.copy()
-                stand[0, place, angle] = 1e-6
-                columns.append((seen(stand) - at) / 1e-6 * STAND_SD[angle])
-        of_stand = np.stack(columns, axis=1)
-        covariance = noise_v**2 * np.eye(len(at)) + of_stand @ of_stand.T
-        weighted = np.linalg.solve(covariance, of_block)
-        self.gain = np.linalg.solve(of_block.T @ weighted, weighted.T)
-        first = of_stand.reshape(2, PASSES, POINTS, 3, -1)[:, 0].reshape(2 * POINTS * 3, -1)
-        self.of_means = np.linalg.inv(noise_v**2 / PASSES * np.eye(len(first)) + first @ first.T)
-
-    def __call__(self, theta: Floats, angles: Floats, seen: Floats) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return the estimates (R, 12), rms of residuals, chi-square (42 dof) and scatter of repeats, (R,) each."""
-        fit = WHERE < 2
-        force = forces(angles, np.zeros((len(angles), 3, 5)))[:, fit]
-        found = np.broadcast_to(theta, (len(angles), 12))
-        for _ in range(3):
-            left = (seen[:, fit] - signals(found, force)).reshape(len(angles), -1)
-            found = found + left @ self.gain.T
-        by_pass = (seen[:, fit] - signals(found, force)).reshape(-1, 2, PASSES, POINTS, 3)
-        mean = by_pass.mean(axis=2, keepdims=True)
-        flat = mean.reshape(len(angles), -1)
-        scatter = np.sqrt(((by_pass - mean) ** 2).sum(axis=(1, 2, 3, 4)) / (2 * (PASSES - 1) * POINTS * 3))
-        chi2 = np.einsum("ri,ij,rj->r", flat, self.of_means, flat)
-        return found, np.sqrt((by_pass**2).mean(axis=(1, 2, 3, 4))), chi2, scatter
 
 
 # --- the folders -----------------------------------------------------------------------------------------
@@ -191,9 +126,6 @@ TYPES: Final = ("triaxial block A", "triaxial block B", "triaxial block C")
 OPERATORS: Final = ("A. Example", "B. Example", "C. Example", "D. Example", "E. Example")
 LIMIT_G: Final = 3e-4
 CHUNK: Final = 500
-ODD: Final = 33
-"""Interval between runs that have `ODD_KXZ` (V/g²) times the forces along x and z in channel x."""
-ODD_KXZ: Final = 4e-3
 
 
 class Template:
@@ -207,7 +139,6 @@ class Template:
             for name in ("calibrate", "verify", "run")
         )
         self.covariance = np.array(self.calibrated["covariance"])
-        self.of_readings = np.array(self.calibrated["covariance_readings"])
         self.theta = np.array([self.calibrated["coefficients"][name]["value"] for name in COEFFICIENTS])
         self.noise_v = float(self.calibrated["noise"]["reading_v"])
         self.fixed = {k: json.dumps(v, ensure_ascii=False) for k, v in self.calibrated.items()}
@@ -237,43 +168,29 @@ class Writer:
 
     def write(self) -> None:
         """Write all folders."""
-        estimator = Estimator(self.template.theta, self.template.noise_v)
         for begin in range(0, len(self.truth.unit), CHUNK):
-            self._write_chunk(np.arange(begin, min(begin + CHUNK, len(self.truth.unit))), estimator)
+            self._write_chunk(np.arange(begin, min(begin + CHUNK, len(self.truth.unit))))
 
-    def _write_chunk(self, runs: np.ndarray[Any, np.dtype[np.int64]], estimator: Estimator) -> None:
+    def _write_chunk(self, runs: np.ndarray[Any, np.dtype[np.int64]]) -> None:
         template, truth = self.template, self.truth
         random = np.random.default_rng([self.seed, 2, int(runs[0])])
-        rest = template.covariance - template.of_readings
-        size, axes = np.linalg.eigh(rest)
-        errors = random.normal(size=(len(runs), 12)) * np.sqrt(np.maximum(size, 0.0)) @ axes.T
-        unit, bench = truth.unit[runs], truth.bench[runs]
-        theta = truth.units[unit] + truth.drift[unit] * (truth.day[runs, None] / 365.25)
-        theta = theta + truth.benches[bench] + errors
+        theta = truth.units[truth.unit[runs]]
+        found = theta + random.multivariate_normal(np.zeros(12), template.covariance, len(runs))
         set_arcsec = np.round(random.normal(0.0, 2.0, (len(runs), len(WHERE))))
         read_rad = np.radians(TARGET_DEG) + set_arcsec * ARCSEC
         true_rad = read_rad + random.uniform(-0.5, 0.5, read_rad.shape) * ARCSEC
         stand = random.normal(size=(len(runs), 3, 5)) * STAND_SD
-        force = forces(true_rad, stand)
-        seen = signals(theta, force) + random.normal(0.0, template.noise_v, force.shape)
-        odd = np.where(runs % ODD == ODD - 1, ODD_KXZ, 0.0)[:, None]
-        seen[:, :, 0] += odd * force[:, :, 0] * force[:, :, 2]
-        seen = np.round(seen, 6)
-        found, rms, chi2, scatter = estimator(template.theta, read_rad, seen)
+        seen = signals(theta, forces(true_rad, stand))
+        seen = np.round(seen + random.normal(0.0, template.noise_v, seen.shape), 6)
         matrix = np.linalg.inv(found[:, :9].reshape(-1, 3, 3))
         g_p = np.linalg.norm(
             np.einsum("rij,rnj->rni", matrix, seen[:, WHERE == 2] - found[:, None, 9:]), axis=-1
         )
         angles = np.round(np.degrees(read_rad), 9)
-        p = special.chdtrc(42, chi2)
         for k, run in enumerate(runs):
-            residual = {"rms": rms[k], "chi2": chi2[k], "dof": 42, "p": p[k], "birge": 1.0}
-            self._write_run(int(run), angles[k], seen[k], found[k], g_p[k], residual, float(scatter[k]))
+            self._write_run(int(run), angles[k], seen[k], found[k], g_p[k])
 
-    def _write_run(
-        self, run: int, angles: Floats, seen: Floats, found: Floats, g_p: Floats,
-        residual: dict[str, float], scatter: float,
-    ) -> None:  # fmt: skip
+    def _write_run(self, run: int, angles: Floats, seen: Floats, found: Floats, g_p: Floats) -> None:
         unit, bench = int(self.truth.unit[run]), int(self.truth.bench[run])
         when = FIRST_DAY + timedelta(days=float(self.truth.day[run]))
         stamp = when.strftime("%Y-%m-%dT%H:%M:%S")
@@ -291,7 +208,7 @@ class Writer:
         events, head = self._events(hashlib.sha256(run_text).hexdigest(), stamp, angles, seen, serials)
         files = {
             **self.template.inputs, "bench.yaml": bench_text, "run.json": run_text, "events.jsonl": events,
-            "calibrate.json": self._calibrated(manifest, found, residual, scatter, head, serials, bench),
+            "calibrate.json": self._calibrated(manifest, found, head, serials, bench),
             "verify.json": self._verified(g_p, angles[WHERE == 2], folder.name, bench, digest),
         }  # fmt: skip
         folder.mkdir()
@@ -329,9 +246,8 @@ class Writer:
         return b"\n".join([*lines, b""]), head
 
     def _calibrated(
-        self, own: dict[str, Any], found: Floats, residual: dict[str, float], scatter: float, head: str,
-        serials: tuple[str, ...], bench: int,
-    ) -> bytes:  # fmt: skip
+        self, own: dict[str, Any], found: Floats, head: str, serials: tuple[str, ...], bench: int
+    ) -> bytes:
         """Return calibrate.json of a run: the template's file with this run's values."""
         before = self.template.calibrated
         coefficients = {
@@ -345,12 +261,10 @@ class Writer:
             m.replace(was, now).replace("of bench", f"of bench-{bench:02}")
             for m, was, now in zip(before["meters"], _answered(self.template.events[0]), serials, strict=True)
         ]
-        sizes = dict.fromkeys(("reading_v", "x", "y", "z"), scatter)
         changed = {
             "coefficients": coefficients,
             "coefficients_per_ms2": {"unit": before["coefficients_per_ms2"]["unit"], **per_ms2},
-            "residual": {k: float(v) for k, v in residual.items()} | {"dof": 42},
-            "noise": {**before["noise"], **sizes}, "source": own["name"],
+            "source": own["name"],
             "bench": _bench(before, own["name"], bench, own["files"]["bench.yaml"]),
             "made_at": own["created"], "unit_under_test": own["unit_under_test"], "meters": meters,
             "corrections": [], "record": {"events": len(self.template.events), "head": head},
@@ -415,12 +329,11 @@ def make_template(folder: Path) -> Template:
 
 
 def make_folders(count: int, out: Path, seed: int, benches: int, units: int) -> None:
-    """Write `count` run folders and `truth.json` into the new folder `out`."""
+    """Write `count` run folders into the new folder `out`."""
     out.mkdir(parents=True)
     with tempfile.TemporaryDirectory() as place:
         template = make_template(Path(place) / "made")
         truth = Truth.drawn(template.theta, count, benches, units, seed)
-        (out / "truth.json").write_text(json.dumps(truth.to_json()), encoding="utf-8")
         Writer(template, truth, out, seed).write()
 
 

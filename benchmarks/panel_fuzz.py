@@ -4,14 +4,12 @@
 
 The requests go to the application directly, past any server that would correct them. The report lists each
 request that was answered with 5xx, changed a file without the right to, or showed content from outside the
-folder of runs; it adds the growth of memory and the slowest request. `--socket 500` sends raw bytes to a real
-server, which must log no traceback.
+folder of runs; it adds the growth of memory and the slowest request.
 """
 
 import asyncio
 import gc
 import json
-import logging
 import math
 import random
 import shutil
@@ -26,18 +24,15 @@ from typing import Any
 from unittest import mock
 from urllib.parse import quote, urlencode
 
-from bench.panel import app as connections
 from bench.panel.access import LARGEST_BODY, STATE, Access, Person, Role, Settings
 from bench.panel.app import make_app, prepare
 from bench.panel.holding import JOURNAL
-from bench.panel.shared import LOG
 from bench.run.events import EVENTS
 from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer
 from bench.run.record import Record
 from benchmarks.campaign import amiss, arguments
 from drivers.clock import utc_now
 from drivers.person import Prompt, PromptKind
-from tests.support.served_panel import served
 
 # --- random requests; most are nearly valid, like those of an attacker -----------------------------------
 
@@ -168,23 +163,6 @@ class Requests:
         entitled = method == "POST" and right_origin and right_host and (by_session or by_token)
         query = urlencode(self._sent(), errors="replace").encode() if draw.random() < 0.5 else b""
         return Request(method, path, query, tuple(headers), body, entitled, actor.name)
-
-    def raw(self, host: str) -> bytes:
-        """Return the bytes of an almost valid HTTP request."""
-        draw = self._random
-        real = draw.random() < 0.8
-        path = quote(self._path(), safe="/%.\\~", errors="replace") if real else draw.choice(WORDS)
-        lines = [f"{draw.choice(METHODS)} {path} HTTP/{draw.choice(('1.1', '1.0', '2', '9.9', ''))}"]
-        lines += [f"Host: {host}"] * draw.choice((0, 1, 1, 1, 2))
-        for _ in range(draw.randrange(4)):
-            lines.append(draw.choice((
-                "Content-Length: -1", "Content-Length: 99999999999", "Transfer-Encoding: chunked",
-                "Expect: 100-continue",
-                "X: " + "y" * 9000, "Upgrade: websocket", ": empty", "Cookie: \xff=\xff",
-                "Content-Length: 5", "no colon", "Transfer-Encoding: chunked\r\nContent-Length: 5",
-            )))  # fmt: skip
-        text = "\r\n".join(lines) + draw.choice(("\r\n\r\n", "\n\n", "\r\n", ""))
-        return text.encode("utf-8", "replace") + draw.randbytes(draw.choice((0, 5, 200)))
 
     def _path(self) -> str:
         draw = self._random
@@ -459,48 +437,17 @@ def judged(
     return wrong
 
 
-async def raw(port: int, count: int, seed: int) -> list[str]:
-    """Send raw bytes to a real server; return the faults in its replies."""
-    requests, wrong = Requests(seed, [Actor("stranger", None, None)], ["done"]), []
-    for _ in range(count):
-        sent = requests.raw(f"127.0.0.1:{port}")
-        reader, writer = await asyncio.open_connection("127.0.0.1", port)
-        writer.write(sent)
-        try:
-            await writer.drain()
-            reply = await asyncio.wait_for(reader.read(4096), 10)
-        except (ConnectionError, TimeoutError) as error:
-            reply = f"({type(error).__name__})".encode()
-        writer.close()
-        if reply.startswith(b"HTTP/1.1 5"):
-            wrong.append(f"{sent[:120]!r}: {reply[:60]!r}")
-    return wrong
-
-
-def by_socket(place: Place, count: int, seed: int) -> list[str]:
-    """Send raw bytes to the panel behind its own server; return the faults."""
-    logged: list[logging.LogRecord] = []
-    with (
-        mock.patch.object(connections, "REQUEST_S", 0.2),
-        mock.patch.object(LOG, "callHandlers", logged.append),
-        served(place.runs) as panel,
-    ):
-        wrong = asyncio.run(raw(panel.port, count, seed))
-    return wrong + [f"logged: {one.getMessage()}" for one in logged if one.levelno > logging.WARNING]
-
-
 def main() -> None:
-    asked = arguments(__doc__, requests=10000, socket=500, seed=1)
+    asked = arguments(__doc__, requests=10000, seed=1)
     with tempfile.TemporaryDirectory() as folder:
         place = Place(Path(folder))
         outcome = asyncio.run(fuzz(place, asked.requests, asked.seed))
-        wrong = outcome.wrong + by_socket(place, asked.socket, asked.seed)
-    print(f"{outcome.requests} requests, {outcome.entitled} with the right to; {asked.socket} raw ones")
+    print(f"{outcome.requests} requests, {outcome.entitled} with the right to")
     print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
     print(outcome.times())
     print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
-    status = amiss(wrong, "WRONG", 20)
-    print(f"{len(wrong)} answered wrongly")
+    status = amiss(outcome.wrong, "WRONG", 20)
+    print(f"{len(outcome.wrong)} answered wrongly")
     raise SystemExit(status)
 
 

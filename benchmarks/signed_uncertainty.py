@@ -3,7 +3,6 @@
     python -m benchmarks.signed_uncertainty --cases all --runs 2500 --workers 2
     python -m benchmarks.signed_uncertainty --cases stand roll meters noise temperature walk setting --runs 600
     python -m benchmarks.signed_uncertainty --cases all all-wandering temperature wandering --runs 1000
-    python -m benchmarks.signed_uncertainty --pairs 2000 --cases roll meters temperature all
     python -m benchmarks.signed_uncertainty --bound 600
     python -m benchmarks.signed_uncertainty --few 2000
     python -m benchmarks.signed_uncertainty --clean 1500
@@ -15,10 +14,7 @@ known size, a ratio of variances is printed, too: what it adds to the estimates 
 it), divided by what it adds to u^2. The temperature has one error throughout a run, which the bench file does
 not state; in cases called wandering it is a process with the correlation time that the bench file states.
 
-`--pairs`: two calibrations of a remounted block (turned by 0 to 2 degrees) are compared by the joint test of
-the nine intrinsic numbers. The table shows the share of unchanged pairs that the test says to differ, and the
-share of changed pairs that it finds, in which one number changes by six standard uncertainties of the
-difference. `--bound`: runs with noise and stand errors only, compared with a fit that knows the sizes of the
+`--bound`: runs with noise and stand errors only, compared with a fit that knows the sizes of the
 noise and whose u is the Cramer-Rao bound.
 
 `--few`: that many runs of each design with hardly any degrees of freedom (2+2, 3+2, 3+3, 4+2 readings), for
@@ -33,7 +29,6 @@ within the binomial limit of 99 %). The exit status is 1 if a limit is broken.
 import sys
 import time
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from functools import cache, partial
 from typing import Any
 
@@ -45,23 +40,18 @@ from bench.calibration import calibrate
 from bench.calibration.budget.sources import assumed_stand
 from bench.calibration.budget.whole import delta_g_contributions, sign
 from bench.calibration.components import ASKED_P
-from bench.calibration.intrinsic import intrinsic, least_dof
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, Noise
 from bench.config.bench_file.stand import UncertaintySection
-from bench.history.comparison import CHANGED_P, Snapshot, compare
-from bench.model import Block, ForwardModel
+from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
 from bench.services.face import load_bench
-from bench.validation.paper_bench import SETTING_U_RAD, U0, K
+from bench.validation.paper_bench import SETTING_U_RAD
 from benchmarks.campaign import arguments, finish, outside, parts_of, rms, show_by_coefficient
 from tests.support.honest_runs import FEW, components_taken, run_few
-from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole, turned
+from tests.support.whole_truth import CASES, EVERYTHING, WANDERING, Bench, simulate_whole
 
 CHUNK = 50
-ONE_IN = 4
-"""One of so many pairs is compared a second time, with a change of the block."""
-TODAY = datetime(2026, 1, 1, tzinfo=UTC)
 KNOWN = {
     "roll": ("mounting_roll",),
     "meters": ("voltmeter_gain", "voltmeter_offset"),
@@ -171,66 +161,6 @@ def show(case: str, parts: list[Any], runs: int) -> list[str]:
     return broken
 
 
-def pairs(case: str, seed: int, numbers: range) -> tuple[int, int, int, int, int]:
-    """Return five numbers of pairs, counted by the joint test of the nine intrinsic numbers.
-
-    They are: all pairs, unchanged pairs that differ, changed pairs, changed pairs that differ, and unchanged
-    pairs that differ by the test of the twelve coefficients. A change is one of 6 u in one of the nine
-    numbers. In each calibration the block is turned by 0 to 2 degrees, equally in both installations.
-    """
-    differ = changed = found = by_twelve = 0
-    for k in numbers:
-        rng = np.random.default_rng([seed, 100 + CASES.index(case), k])
-        bench = Bench.drawn(rng, case)
-        first = snapshot_of_run(
-            own(case).of(simulate_whole(rng, case, bench, change=turn(rng)).readings), "a"
-        )
-        turned_by = turn(rng)
-
-        def second(change: Floats, k: int = k, bench: Bench = bench) -> Snapshot:
-            """Return the second calibration after a change of the block; the noise is the same for any change."""
-            other = np.random.default_rng([seed, 100 + CASES.index(case), k, 1])
-            return snapshot_of_run(
-                own(case).of(simulate_whole(other, case, bench, change=change).readings), "b"
-            )
-
-        unchanged = compare([first, second(turned_by)])
-        differ += unchanged.changed
-        by_twelve += unchanged.twelve is not None and unchanged.twelve.p_constant < CHANGED_P
-        if k % ONE_IN:
-            continue
-        changed += 1
-        j = int(rng.integers(9))
-        at = intrinsic(Block(K, U0), np.eye(12)).jacobian
-        change = np.linalg.pinv(at)[:, j] * 6 * unchanged.nine.changes[0].u[j]
-        found += compare([first, second(turned_by + change)]).changed
-    return len(numbers), differ, changed, found, by_twelve
-
-
-def turn(rng: np.random.Generator) -> Floats:
-    """Return the change of the coefficients if the block is turned by 0 to 2 degrees in both installations."""
-    return np.concatenate([(K @ turned(rng, np.radians(2.0)) - K).ravel(), np.zeros(3)])
-
-
-def snapshot_of_run(found: Calibration, name: str) -> Snapshot:
-    """Return a calibration as a snapshot for `compare`, made by the meters of block 1."""
-    return Snapshot(
-        name, TODAY, "block 1", found.unit, found.g_m_s2, found.block.vector, found.covariance,
-        same_meters=found.covariance_same_meters, meters=("1", "2", "3"), block_terms=found.block_terms,
-        wander=found.wander, dof=least_dof(found),
-    )  # fmt: skip
-
-
-def show_pairs(case: str, parts: list[Any]) -> list[str]:
-    n, differ, changed, found, by_twelve = (sum(column) for column in zip(*parts, strict=True))
-    upper = float(stats.beta.ppf(0.99, differ + 1, n - differ))
-    share = f"{differ / n:.3f}, upper 99 % {upper:.3f}"
-    print(f"{case}: {differ} of {n} pairs said to differ ({share}), {found} of {changed} changes found")
-    print(f"  the twelve say so of {by_twelve} of {n} unchanged pairs: a turn moves them")
-    broken = [f"{case}: differ in {upper:.3f}"] * (upper > 0.065)
-    return broken + [f"{case}: found {found} of {changed}"] * (found < 0.98 * changed)
-
-
 def beside_bound(seed: int, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
     """Return errors of a fit and of a fit that knows the noise (runs, 12), u of the readings, and the bound."""
     known = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
@@ -304,13 +234,13 @@ def clean(seed: int, count: int, workers: int) -> list[str]:
 
 def main() -> int:
     given = arguments(
-        __doc__, cases={"nargs": "+", "choices": CASES, "default": list(CASES)}, runs=2500, pairs=0,
-        bound=0, few=(0, "runs of each design with few readings"), workers=2, seed=1,
+        __doc__, cases={"nargs": "+", "choices": CASES, "default": list(CASES)}, runs=2500, bound=0,
+        few=(0, "runs of each design with few readings"), workers=2, seed=1,
         clean=(0, "runs of which the readings share nothing"),
     )  # fmt: skip
     broken: list[str] = []
     begun = time.perf_counter()
-    count = given.bound or given.pairs or given.runs
+    count = given.bound or given.runs
     if given.few or given.clean:
         broken += few(given.seed, given.few, given.workers) if given.few else []
         broken += clean(given.seed, given.clean, given.workers) if given.clean else []
@@ -318,9 +248,7 @@ def main() -> int:
     if given.bound:
         broken += show_bound(parts_of(partial(beside_bound, given.seed), count, given.workers, CHUNK), count)
     for case in given.cases if not given.bound else ():
-        work = partial(pairs if given.pairs else run, case, given.seed)
-        parts = parts_of(work, count, given.workers, CHUNK)
-        broken += show_pairs(case, parts) if given.pairs else show(case, parts, count)
+        broken += show(case, parts_of(partial(run, case, given.seed), count, given.workers, CHUNK), count)
         sys.stdout.flush()
     print(f"\n{time.perf_counter() - begun:.0f} s")
     return finish(broken, "every bar holds")

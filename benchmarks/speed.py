@@ -2,7 +2,6 @@
 
 The first word names the part:
 
-    python -m benchmarks.speed program   # start, help, a dry run, a calibration
     python -m benchmarks.speed plan      # expand, hash, check and list 100,000 steps
     python -m benchmarks.speed record    # check, resume and list records of 100,000 events
     python -m benchmarks.speed diagnosis --each 17
@@ -23,7 +22,6 @@ import math
 import os
 import resource
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
@@ -42,38 +40,7 @@ from bench.config.bench_file.file import load_bench
 from bench.config.procedure.steps import Mount, Read, Turn
 from bench.config.shipped import find_bench
 from bench.model import ForwardModel
-from benchmarks.campaign import PROGRAM, ROOT, Cost, arguments, command, cost_of
-
-# --- program ----------------------------------------------------------------------------------------
-
-REPEATS: Final = 9
-
-
-def program(given: argparse.Namespace) -> bool:
-    """Measure commands and, for comparison on a slow machine, the bare interpreter."""
-    python = (sys.executable, "-c")
-    commands = {
-        "python -c pass": (*python, "pass"), "import bench": (*python, "import bench"),
-        "bench --help": (*PROGRAM, "--help"), "bench run paper --dry-run": (*PROGRAM, "run", "paper", "--dry-run"),
-        "bench calibrate": (*PROGRAM, "calibrate", str(ROOT / "tests/data/records/readings.csv"), "--out", "."),
-    }  # fmt: skip
-    print(f"{'command':30} {'CPU / s':>10} {'wall / s':>10}   (median of {REPEATS})")
-    for name, words in commands.items():
-        spent = [spent_on(words) for _ in range(REPEATS)]
-        cpu_s, wall_s = (statistics.median(column) for column in zip(*spent, strict=True))
-        print(f"{name:30} {cpu_s:10.3f} {wall_s:10.3f}")
-    return True
-
-
-def spent_on(words: tuple[str, ...]) -> tuple[float, float]:
-    """Return CPU and wall time of a command, s."""
-    with tempfile.TemporaryDirectory() as folder:
-        before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
-        subprocess.run(words, cwd=folder, check=True, capture_output=True)  # noqa: S603 - fixed commands
-        after = resource.getrusage(resource.RUSAGE_CHILDREN)
-        cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-        return cpu_s, time.perf_counter() - begun
-
+from benchmarks.campaign import Cost, arguments, command, cost_of
 
 # --- plan -------------------------------------------------------------------------------------------
 
@@ -459,7 +426,7 @@ def timed_question(where: str, kind: str, words: list[str], of: str) -> tuple[st
 
 
 PARTS: Final[dict[str, Callable[[argparse.Namespace], bool]]] = {
-    "program": program, "plan": plan, "record": record, "diagnosis": diagnosis, "runs": many_runs,
+    "plan": plan, "record": record, "diagnosis": diagnosis, "runs": many_runs,
     "catalogue": catalogue,
 }  # fmt: skip
 

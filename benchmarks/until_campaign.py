@@ -2,7 +2,6 @@
 
     python -m benchmarks.until_campaign --runs 2500 --seed 1 --workers 2
     python -m benchmarks.until_campaign --runs 500 --seed 2 --goal vector=6.83e-5
-    python -m benchmarks.until_campaign --stopping --runs 625 --seed 3
 
 Each run draws a size of the noise (one of the fractions `--noise` of the bench file's, equally often), a
 block near the paper's, and a stand. It takes the readings that `bench.planning.choice` chooses from the
@@ -13,13 +12,6 @@ campaign prints: rms of z = (estimate - truth)/u over the twelve coefficients at
 goal; settings; mean bench time divided by that of the best fixed plan for the same goal and known noise
 (wanted: at most 1.10), and the same without warm-up and verification. For every fourth run, z of a fixed
 number of readings is printed, too, to show the effect of stopping.
-
-`--stopping`: many simultaneous runs (`--runs` for each size of the noise) that use one order of the paper's
-points: first the best fixed plan with the least number of repeats, then the points that help most, `--step`
-points at a time. After each step the readings so far are calibrated, and a run stops when its stated u
-reaches the goal. The table shows rms z, coverage, the fraction that reached the goal and the mean number of
-settings; then the same for a number of settings fixed at this mean, and for known noise. The comparison shows
-the effect of stopping, and of estimating the noise from few repeats.
 """
 
 from __future__ import annotations
@@ -34,7 +26,7 @@ import numpy as np
 from bench.calibration import CalibrationError
 from bench.calibration.calibrate import calibrate
 from bench.calibration.noise import LEAST_REPEATS
-from bench.calibration.result import Calibration, Noise
+from bench.calibration.result import Calibration
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
@@ -155,10 +147,10 @@ class KnownNoise(Visits):
         return 1.0
 
 
-def best_fixed(chooser: Chooser, scale: float, repeats: int = LEAST_REPEATS) -> list[PlannedPoint]:
+def best_fixed(chooser: Chooser, scale: float) -> list[PlannedPoint]:
     """Return the fewest points that reach the goals at known noise, found by exchanges."""
     task: DesignTask = replace(chooser.task(Standing()), scale=scale)
-    most, least = task.left, repeats
+    most, least = task.left, LEAST_REPEATS
 
     def design(counts: np.ndarray) -> KnownNoise:
         return KnownNoise(task.candidates, task.goals, counts, counts * 0, most)
@@ -218,18 +210,13 @@ def part(goals: list[str], noises: list[float], seed: int, numbers: range) -> li
     return found
 
 
-def size_told(z: np.ndarray) -> str:
-    """Return the rms of z (runs, 12) with its standard error over runs."""
-    return f"{rms_told(z, by_run=True):>15}"
-
-
 def row(name: str, ended: list[Outcome], fixed_s: float, once_s: float, settings: float) -> str:
     z, other = np.array([e.z for e, _ in ended]), np.array([o for _, o in ended if o is not None])
     time_s = np.array([e.time_s for e, _ in ended])
     ratio, apart = time_s.mean() / fixed_s, (time_s.mean() - once_s) / (fixed_s - once_s)
     u_time = time_s.std(ddof=1) / np.sqrt(len(z)) / fixed_s
     return (
-        f"{name:>6}{len(z):6}{size_told(z)}{np.sqrt(np.mean(other**2)):9.3f}"
+        f"{name:>6}{len(z):6}{rms_told(z, by_run=True):>15}{np.sqrt(np.mean(other**2)):9.3f}"
         f"{np.mean(np.abs(z) <= 2):9.4f}{np.mean([e.reached for e, _ in ended]):9.3f}"
         f"{np.mean([e.settings for e, _ in ended]):9.2f}{settings:8.1f}{ratio:8.3f} ±{u_time:.3f}{apart:8.3f}"
     )
@@ -255,146 +242,13 @@ def whole_runs(asked: argparse.Namespace) -> bool:
     settings = float(np.mean([len(fixed[e.scale]) for e, _ in ended]))
     print(row("all", ended, known_s, once_s, settings))
     slower = float(np.mean([e.time_s for e, _ in ended])) / known_s
-    return is_true(np.array([e.z for e, _ in ended])) and slower <= 1.10
-
-
-def is_true(z: np.ndarray) -> bool:
-    """Whether rms and coverage of z (runs, 12) are within the wanted limits."""
-    return bool(0.93 <= np.sqrt(np.mean(z**2)) <= 1.07 and np.mean(np.abs(z) <= 2) >= 0.93)
-
-
-# --- stopping ---------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """Signals (runs, n, 3) of points and the truth (runs, 12)."""
-
-    points: list[PlannedPoint]
-    signals: np.ndarray
-    truth: np.ndarray
-    scale: float
-
-
-def order_of(chooser: Chooser) -> tuple[list[PlannedPoint], int]:
-    """Return the points in the order of steps, and the number of points in the first step."""
-    task = chooser.task(Standing())
-    first = best_fixed(chooser, min(NOISES), LEAST_REPEATS)
-    points, rest = list(first), [p for p in chooser.pool.points if p not in first]
-    counts = np.array([sum(p.site == site for p in first) for site in task.grid.sites])
-    design = Visits(task.candidates, task.goals, counts, counts, task.left)
-    while rest:
-        before = design.counts.copy()
-        design.add_best()
-        site = task.grid.sites[int(np.argmax(design.counts - before))]
-        points.append(next(p for p in rest if p.site == site))
-        rest.remove(points[-1])
-    return points, len(first)
-
-
-def drawn(points: list[PlannedPoint], scale: float, runs: int, rng: np.random.Generator) -> Drawn:
-    n = len(points)
-    labels = [p.site.mount.installation for p in points]
-    second = np.array([label == "2" for label in labels], dtype=np.int64)
-    angle = np.tile([p.site.angle_rad for p in points], runs)
-    stand = rng.normal(0.0, [TILT_RAD, TILT_RAD, MOUNT_RAD], (runs, 2, 3))[:, second].reshape(-1, 3)
-    setting = scale * rng.normal(0.0, SETTING_RAD, runs * n)
-    tilt, offset, mount = stand.T
-    force = specific_force(labels * runs, angle, tilt, offset, mount, setting).reshape(runs, n, 3)
-    own = K + rng.normal(0.0, SPREAD, (runs, 3, 3)), U0 + rng.normal(0.0, SPREAD, (runs, 3))
-    signals = force @ np.swapaxes(own[0], 1, 2) + own[1][:, None]
-    signals = signals + scale * rng.normal(0.0, READING_V, signals.shape)
-    return Drawn(points, signals, np.concatenate([own[0].reshape(runs, 9), own[1]], axis=1), scale)
-
-
-def calibrated_at(
-    chooser: Chooser, data: Drawn, count: int, which: np.ndarray, known: bool = False
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return z (runs, 12) and the covariance (runs, 12, 12) of the first `count` readings of some runs."""
-    noise = Noise(data.scale * READING_V, data.scale * SETTING_RAD, float("inf"), "given") if known else None
-    model, sizes = chooser.stand.model, chooser.stand.sizes
-    found = [
-        calibrate(table_of(data.points[:count], signal), model, sizes, 9.81, noise=noise, find_shared=False)
-        for signal in data.signals[which, :count]
-    ]
-    off = np.array([one.block.vector for one in found]) - data.truth[which]
-    return off / [one.u_readings for one in found], np.array([one.covariance_readings for one in found])
-
-
-def ratio_of(chooser: Chooser, covariance: np.ndarray) -> np.ndarray:
-    """Return the largest ratio (runs,) of u to its goal, for covariances (runs, 12, 12)."""
-    ratios = [
-        np.einsum("ki,uij,kj->u", goal.functionals, covariance, goal.functionals) / goal.asked**2
-        for goal in (wanted.goal for wanted in chooser.aim.wanted)
-    ]
-    return np.asarray(np.sqrt(np.max(ratios, axis=0)))
-
-
-@dataclass(frozen=True)
-class Stopped:
-    """The results of runs that stop along one order of points: z (runs, 12), and settings (runs,).
-
-    The three z are those at the stop, for a fixed number of settings, and for known noise. `reached` says
-    whether a run reached the goal.
-    """
-
-    z: np.ndarray
-    fixed: np.ndarray
-    known: np.ndarray
-    reached: np.ndarray
-    settings: np.ndarray
-
-
-def stopped(chooser: Chooser, data: Drawn, first: int, step: int) -> Stopped:
-    runs, n = data.signals.shape[:2]
-    z, settings = np.zeros((runs, 12)), np.full(runs, n)
-    reached, going = np.zeros(runs, dtype=bool), np.arange(runs)
-    for count in [*range(first, n, step), n]:
-        z[going], covariance = calibrated_at(chooser, data, count, going)
-        enough = ratio_of(chooser, covariance) <= 1.0
-        settings[going], reached[going[enough]] = count, True
-        going = going[~enough]
-        if not len(going):
-            break
-    every, mean = np.arange(runs), round(float(np.mean(settings)))
-    fixed, known = (calibrated_at(chooser, data, mean, every, told)[0] for told in (False, True))
-    return Stopped(z, fixed, known, reached, settings)
-
-
-def stopped_row(name: str, parts: list[Stopped]) -> str:
-    z, fixed, known, reached, settings = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in Stopped.__dataclass_fields__
-    )
-    return (
-        f"{name:>6}{len(z):7}{size_told(z)}{np.mean(np.abs(z) <= 2):8.4f}{size_told(fixed)}"
-        f"{np.mean(np.abs(fixed) <= 2):8.4f}{size_told(known)}{np.mean(reached):9.3f}{np.mean(settings):9.2f}"
-    )
-
-
-def stopping(asked: argparse.Namespace) -> bool:
-    """Print the table of runs that stop along one order of points; return whether all wanted limits hold."""
-    chooser = chooser_for(asked.goal)
-    points, first = order_of(chooser)
-    goals = " ".join(asked.goal)
-    print(f"{goals}, {len(points)} settings, from {first} on each {asked.step}, seed {asked.seed}")
-    print(
-        f"{'noise':>6}{'runs':>7}{'stopped':>8}{'':7}{'k = 2':>8}{'fixed':>8}{'':7}{'k = 2':>8}{'known':>8}{'':7}"
-        f"{'reached':>9}{'settings':>9}"
-    )
-    parts = []
-    for number, scale in enumerate(asked.noise):
-        data = drawn(points, scale, asked.runs, np.random.default_rng([asked.seed, number]))
-        parts.append(stopped(chooser, data, first, asked.step))
-        print(stopped_row(f"{scale:g}", parts[-1:]), flush=True)
-    print(stopped_row("all", parts))
-    return is_true(np.concatenate([part.z for part in parts]))
+    z = np.array([e.z for e, _ in ended])
+    return bool(0.93 <= np.sqrt(np.mean(z**2)) <= 1.07 and np.mean(np.abs(z) <= 2) >= 0.93 and slower <= 1.10)
 
 
 def main() -> int:
-    asked = arguments(
-        __doc__, runs=2500, seed=1, workers=1, goal=["all=5e-5"], noise=list(NOISES), stopping=False, step=3
-    )
-    return 0 if (stopping if asked.stopping else whole_runs)(asked) else 1
+    asked = arguments(__doc__, runs=2500, seed=1, workers=1, goal=["all=5e-5"], noise=list(NOISES))
+    return 0 if whole_runs(asked) else 1
 
 
 if __name__ == "__main__":

@@ -1,9 +1,8 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It accepts the commands of drivers and other clients. Every function can be set, queried and measured; the terminals
-carry only a DC voltage. Of the math operations it has only the average, which does not change readings. Calibration
-and the external trigger are not simulated. Source: 34401A User's Guide (34401-90004), chapters 3-5; chapter 8,
-specifications.
+It accepts what drivers and other clients send; any other command gives -113. Every function can be selected and
+set, but the terminals carry only a DC voltage, and only the immediate trigger comes. Source: 34401A User's Guide
+(34401-90004), chapters 3-5; chapter 8, specifications.
 """
 
 from __future__ import annotations
@@ -37,7 +36,6 @@ from sim.scpi_values import (
     within,
 )
 from sim.voltmeters import (
-    VOLT_OVERLOAD,
     Accuracy,
     Converter,
     Function,
@@ -78,8 +76,8 @@ FUNCTIONS: Final[dict[str, Function]] = {
         Function("CURR:AC", "CURRent:AC", "A", (1.0, 3.0), _ON_DISPLAY, ""),
         Function("RES", "RESistance", "OHM", _OHM, _NPLC),
         Function("FRES", "FRESistance", "OHM", _OHM, _NPLC),
-        Function("FREQ", "FREQuency", "HZ", _AC_V, _GATE_S, "APERture", expected=(3.0, 3e5)),
-        Function("PER", "PERiod", "S", _AC_V, _GATE_S, "APERture", expected=(1 / 3e5, 1 / 3.0)),
+        Function("FREQ", "FREQuency", "HZ", _AC_V, _GATE_S, "APERture"),
+        Function("PER", "PERiod", "S", _AC_V, _GATE_S, "APERture"),
         Function("CONT", "CONTinuity", "OHM", (1e3,), _ON_DISPLAY, "", fixed=True),
         Function("DIOD", "DIODe", "V", (1.0,), _ON_DISPLAY, "", fixed=True),
     )
@@ -88,9 +86,7 @@ FUNCTIONS: Final[dict[str, Function]] = {
 
 def _default_settings(function: Function) -> FunctionSettings:
     start = 10.0 if 10.0 in function.ranges else function.ranges[0]
-    return FunctionSettings(
-        start, function.default_resolution, function.expected[0] if function.expected else 0.0
-    )
+    return FunctionSettings(start, function.default_resolution)
 
 
 class Configuration:
@@ -129,38 +125,22 @@ class Configuration:
         with autorange; the settings then stay unchanged.
         """
         fresh = _default_settings(function)
-        if function.expected:
-            low, high = function.expected
-            words = {MIN: low, DEF: low, MAX: high}
-            fresh.expected = words[range_value] if isinstance(range_value, str) else range_value
-            full_scale = within(fresh.expected, low, high)
-        else:
-            if range_value == DEF and not isinstance(resolution, str):
-                raise ScpiError(-221)
-            if range_value != DEF:
-                fresh.range_value = chosen_range(function, range_value)
-                fresh.autorange = False
-            full_scale = fresh.range_value
-        fresh.resolution = chosen_resolution(function, resolution, full_scale)
+        if range_value == DEF and not isinstance(resolution, str):
+            raise ScpiError(-221)
+        if range_value != DEF:
+            fresh.range_value = chosen_range(function, range_value)
+            fresh.autorange = False
+        fresh.resolution = chosen_resolution(function, resolution, fresh.range_value)
         self.function = function
-        self.by_function[function.settings_of or function.name] = fresh
+        self.by_function[function.name] = fresh
         self.autozero = not function.has_nplc or self.nplc >= 1.0
         self.high_impedance = False
         self.bandwidth_hz = _DEFAULT_BANDWIDTH_HZ
-
-    def description(self) -> str:
-        """Return the reply to CONFigure?, such as `"VOLT +1.000000E+01,+1.000000E-05"` with its quotes."""
-        function, settings = self.function, self.settings
-        if function.fixed:
-            return quoted(function.name)
-        full_scale = settings.expected if function.expected else settings.range_value
-        return quoted(f"{function.name} {full_scale:+.6E},{full_scale * settings.resolution:+.6E}")
 
     def commands(self) -> list[Command]:
         """Return the commands and queries of the configuration."""
         bandwidths = (_BANDWIDTHS_HZ[0], _BANDWIDTHS_HZ[-1])
         lines = [
-            Command("CONFigure?", self.description),
             Command("[SENSe:]FUNCtion", self._select, (Text(),)),
             Command("[SENSe:]FUNCtion?", lambda: quoted(self.function.name)),
             *number_lines(
@@ -183,8 +163,8 @@ class Configuration:
         return switch_lines(notation, lambda: self, "high_impedance")
 
     def _range_lines(self, function: Function) -> list[Command]:
-        node = f"[SENSe:]{function.notation}{':VOLTage' if function.expected else ''}:RANGe"
-        unit = "V" if function.expected else function.unit
+        node = f"[SENSe:]{function.notation}{':VOLTage' if function.has_aperture else ''}:RANGe"
+        unit = "V" if function.has_aperture else function.unit
 
         def settings() -> FunctionSettings:
             return self.by_function[function.name]
@@ -288,9 +268,6 @@ class Trigger(MeasuringCycle):
         self.stated_delay_s: float | None = None
         self.trigger_count: float = 1
         self.sample_count = 1
-        self.stores = True
-        self.averages = False
-        self.averaged: list[float] = []
 
     def stop_waiting(self) -> None:
         """If the meter waits for a trigger, become idle, because a setting of the measurement has changed."""
@@ -303,10 +280,9 @@ class Trigger(MeasuringCycle):
         Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as from `read`.
         """
         self._require_idle()
-        readings = self.trigger_count * self.sample_count
-        if self.stores and not self.keeps_latest and readings > self.memory_depth:
+        if not self.keeps_latest and self.trigger_count * self.sample_count > self.memory_depth:
             raise ScpiError(531)
-        self._begin(keeps=self.stores)
+        self._begin(keeps=True)
 
     def read(self) -> str | None:
         """READ?: measure and return the readings without storing them.
@@ -340,14 +316,12 @@ class Trigger(MeasuringCycle):
         middle_s = delay_s + self._converter.integration_s(self._configuration) / 2.0
         samples = triggers * self.sample_count
         self._due = [start_s + i * step_s + middle_s for i in range(samples)]
-        self._measures_until(start_s + samples * step_s, triggers)
+        self._measures_until(start_s + samples * step_s)
 
     def _sampled(self, due: float) -> str:
         value = self._converter.sample(self._configuration, due)
         if abs(value) >= facts.OVERLOAD_V:
             self._on_overload()
-        elif self.averages:
-            self.averaged.append(value)
         return reading_text(value, self._converter.step(self._configuration))
 
     def commands(self) -> list[Command]:
@@ -357,7 +331,6 @@ class Trigger(MeasuringCycle):
             Command("INITiate[:IMMediate]", self.initiate),
             Command("READ?", self.read),
             Command("FETCh?", self.fetch),
-            Command("*TRG", lambda: self.trigger("BUS")),
             Command(
                 "TRIGger[:SEQuence]:SOURce", self._set_source, (Choice(("BUS", "IMMediate", "EXTernal")),)
             ),
@@ -375,35 +348,8 @@ class Trigger(MeasuringCycle):
             Command("TRIGger[:SEQuence]:COUNt?", lambda w="": self._count_text(w, self.trigger_count), word),
             Command("SAMPle:COUNt", self._set_sample_count, (Number(),)),
             Command("SAMPle:COUNt?", lambda w="": self._count_text(w, self.sample_count), word),
-            Command("DATA:FEED", self._set_feed, (Choice(("RDG_STORE",)), Text())),
-            Command("DATA:FEED?", lambda: quoted("CALC" if self.stores else "")),
             Command("DATA:POINts?", lambda: integer(len(self._memory))),
-            *self._average_commands(),
         ]
-
-    def _average_commands(self) -> list[Command]:
-        results: dict[str, Callable[[list[float]], float]] = {
-            "MINimum": min, "MAXimum": max, "AVERage": lambda values: sum(values) / len(values),
-        }  # fmt: skip
-        return [
-            Command("CALCulate:FUNCtion", lambda _: None, (Choice(("AVERage",)),)),
-            Command("CALCulate:FUNCtion?", lambda: "AVER"),
-            Command("CALCulate:STATe", self._set_averages, (Boolean(),)),
-            Command("CALCulate:STATe?", lambda: str(int(self.averages))),
-            *(
-                Command(f"CALCulate:AVERage:{name}?", partial(self._average, of))
-                for name, of in results.items()
-            ),
-            Command("CALCulate:AVERage:COUNt?", lambda: integer(len(self.averaged))),
-        ]
-
-    def _average(self, of: Callable[[list[float]], float]) -> str:
-        return f"{of(self.averaged or [0.0]):+.8E}"
-
-    def _set_averages(self, flag: str) -> None:
-        self.averages = flag == "1"
-        if self.averages:
-            self.averaged = []
 
     def _set_source(self, source: str) -> None:
         self.source = source
@@ -425,11 +371,6 @@ class Trigger(MeasuringCycle):
         self.sample_count = self._count(value)
         self.stop_waiting()
 
-    def _set_feed(self, _memory: str, feed: str) -> None:
-        if feed.upper() not in ("", "CALC", "CALCULATE"):
-            raise ScpiError(-224)
-        self.stores = feed != ""
-
     def _count(self, value: Value) -> int:
         """Return a count, rounded, with MIN and MAX resolved. Raises `ScpiError` -222 outside 1…`most_readings`."""
         count = math.floor(number_of(value, 1, self.most_readings) + 0.5)
@@ -444,20 +385,25 @@ class Trigger(MeasuringCycle):
 # --- the meter --------------------------------------------------------------------------------------
 
 _ERRORS: Final = {531: "Insufficient memory"}
-_OVERLOAD_BITS: Final = {"V": VOLT_OVERLOAD, "A": 2, "OHM": 512}
-"""Bits of the questionable data register, by the unit of the measured quantity."""
 _DISPLAY_WIDTH: Final = 12
 
 
 _REAL_PORT: Final = LineEnds(buffer=110, loses_early=True)
 _IDLE_S: Final = 600.0
 _REMOTE: Final = re.compile(rb"\s*:?SYST(EM)?:REM(OTE)?\s*\Z", re.IGNORECASE)
+
+
+def _parameters(unit: str) -> tuple[CommandParameter, ...]:
+    """Return the parameters of CONFigure and MEASure: range and resolution."""
+    return (Number(unit, (MIN, MAX, DEF), optional=True),) * 2
+
+
 _COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
 """Firmware that prints a comma after the last of several readings, as the User's Guide shows them."""
 
 
 class Agilent34401A(LineMeter):
-    """A 34401A with its settings, trigger system and status.
+    """A 34401A with its settings and trigger system.
 
     It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
     `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
@@ -549,19 +495,17 @@ class Agilent34401A(LineMeter):
         self.trigger.stop_waiting()
 
     def _overload(self) -> None:
-        """Report an overload in the status registers; it does not enter the error queue."""
-        self.status.questionable |= _OVERLOAD_BITS.get(self.configuration.function.unit, VOLT_OVERLOAD)
-        self.status.event |= DEVICE_ERROR
+        """Report an overload in the event register; it does not enter the error queue."""
+        self.events.bits |= DEVICE_ERROR
 
     def _measure_commands(self) -> list[Command]:
-        lines = []
-        for function in FUNCTIONS.values():
-            number = Number(function.unit, (MIN, MAX, DEF), optional=True)
-            parameters: tuple[CommandParameter, ...] = () if function.fixed else (number, number)
-            lines += [
-                Command(f"CONFigure:{function.notation}", partial(self._configure, function), parameters),
-                Command(f"MEASure:{function.notation}?", partial(self._measure, function), parameters),
-            ]
+        lines = [
+            Command("CONFigure:VOLTage[:DC]", partial(self._configure, FUNCTIONS["VOLT"]), _parameters("V"))
+        ]
+        for name in ("VOLT", "VOLT:AC", "CURR", "CURR:AC", "RES", "FRES"):
+            function = FUNCTIONS[name]
+            measure = partial(self._measure, function)
+            lines.append(Command(f"MEASure:{function.notation}?", measure, _parameters(function.unit)))
         return lines
 
     def _configure(self, function: Function, range_value: Value = DEF, resolution: Value = DEF) -> None:

@@ -1,8 +1,8 @@
 """A simulated Aim-TTi PL-P or CPX supply, whose outputs feed the block of the world. Its dialect is not SCPI.
 
 The commands of a message are separated by semicolons; each reply is a line of its own. A refused command shows
-only in the registers *ESR? and EER?. The simulation covers setting, protecting, switching and monitoring the
-outputs. The over-current trip accepts only its highest setting, at which it never trips.
+only in the registers *ESR? and EER?. The simulation covers setting, protecting against over-voltage, switching and
+monitoring the outputs.
 Sources: as in the facts; PL & PL-P Series Instruction Manual, "Remote commands".
 """
 
@@ -27,14 +27,9 @@ _COMMAND: Final = re.compile(
     r"(?:\s+(?P<number>[+-]?(?:\d+\.?\d*|\.\d+)(?:E[+-]?\d+)?))?"
 )
 _OUT_OF_RANGE: Final = 100
-_EMPTY_STORE: Final = 102
 _NO_OUTPUT: Final = 103
 _WHILE_ON: Final = 104
-_STORES: Final = 10
 _LOW_RANGE_A: Final = 0.5
-_OF_HIGHEST: Final = 1.1
-_STEPS: Final = {"V": 0.01, "I": 0.01}
-_ADDRESSES: Final = {"ADDRESS": "11", "IPADDR": "127.0.0.1", "NETMASK": "255.255.255.0", "NETCONFIG": "DHCP"}
 
 
 class _Refused(Exception):
@@ -78,29 +73,18 @@ class AimTti(PlainDialect):
         self.model = model
         self._limits: dict[str, dict[str, Any]] = facts.OUTPUTS[model]
         self._event, self._error = facts.POWER_ON, 0
-        self._config = int(facts.INDEPENDENT)
-        self._locked = False
         self._low_range: set[str] = set()
-        self._steps: dict[tuple[str, str], float] = {}
-        self._stored: dict[tuple[str, int], tuple[float, float]] = {}
         self._told_trips: set[str] = set()
         self._outputs = Outputs(world, self._limits, self._preset, self.power_cycle)
         self._of_output: dict[str, Callable[[_Command, OutputPhase], str | None]] = {
-            "V": self._voltage, "I": self._current, "OVP": self._over_voltage, "OCP": self._over_current,
-            "OP": self._switch, "LSR": self._limit_events, "IRANGE": self._range, "SAV": self._save,
-            "RCL": self._recall, "DAMPING": lambda command, stage: None,
-            **dict.fromkeys(("DELTAV", "DELTAI"), self._step),
-            **dict.fromkeys(("INCV", "INCI", "DECV", "DECI"), self._count),
+            "V": self._voltage, "I": self._current, "OVP": self._over_voltage, "OP": self._switch,
+            "LSR": self._limit_events, "IRANGE": self._range,
         }  # fmt: skip
         self._of_supply: dict[str, Callable[[_Command], str | None]] = {
-            "OPALL": self._switch_all, "CONFIG": self._configure, "TRIPRST": lambda _: self._reset_trips(),
-            "LOCAL": lambda _: None, "IFLOCK": self._lock, "IFUNLOCK": lambda _: self._unlock(),
-            "EER": lambda _: self._take_error(), "QER": lambda _: "0",
-            "*ESR": lambda _: self._take_event(),
-            "*STB": lambda _: "0", "*IDN": lambda _: facts.IDENTITY.format(model=self.model),
-            "*OPC": lambda command: "1" if command.asks else None, "*TST": lambda _: "0", "*WAI": lambda _: None,
-            "*CLS": lambda _: self._clear(), "*RST": lambda _: self._outputs.reset(),
-            **dict.fromkeys(_ADDRESSES, lambda command: _ADDRESSES[command.name]),
+            "OPALL": self._switch_all, "CONFIG": lambda _: str(facts.INDEPENDENT),
+            "TRIPRST": lambda _: self._reset_trips(), "LOCAL": lambda _: None,
+            "EER": lambda _: self._take_error(), "*ESR": lambda _: self._take_event(), "*WAI": lambda _: None,
+            "*IDN": lambda _: facts.IDENTITY.format(model=self.model), "*RST": lambda _: self._outputs.reset(),
         }  # fmt: skip
 
     # --- called by the wire and the bench -----------------------------------------------------------
@@ -124,7 +108,7 @@ class AimTti(PlainDialect):
 
     def power_cycle(self) -> None:
         """Switch off and on: settings are kept, all outputs are off."""
-        self._event, self._error, self._locked = facts.POWER_ON, 0, False
+        self._event, self._error = facts.POWER_ON, 0
         for name in self._outputs.names:
             self._outputs.change(name, on=False, tripped=None)
 
@@ -193,16 +177,6 @@ class AimTti(PlainDialect):
         self._outputs.change(command.output, trip_v=self._within(command, "over_voltage_v"))
         return None
 
-    def _over_current(self, command: _Command, stage: OutputPhase) -> str | None:
-        if "over_voltage_v" not in self._limits[command.output]:
-            raise _Refused(facts.COMMAND_ERROR)
-        highest_a = _OF_HIGHEST * self._limits[command.output]["current_a"][1]
-        if command.asks:
-            return f"CP{command.output} {highest_a:.2f}"
-        if command.number < highest_a - 1e-9:
-            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        return None
-
     def _switch(self, command: _Command, stage: OutputPhase) -> str | None:
         if command.asks:
             return str(int(stage.on))
@@ -235,41 +209,6 @@ class AimTti(PlainDialect):
             self._low_range.discard(command.output)
         return None
 
-    def _step(self, command: _Command, stage: OutputPhase) -> str | None:
-        """Set or query the step of INCV1 and DECV1: DELTAV1 0.1 (likewise for current)."""
-        what = command.name[-1]
-        if command.asks:
-            return (
-                f"{command.name}{command.output} {self._steps.get((what, command.output), _STEPS[what]):.3f}"
-            )
-        self._steps[what, command.output] = command.number
-        return None
-
-    def _count(self, command: _Command, stage: OutputPhase) -> None:
-        what = command.name[-1]
-        step = self._steps.get((what, command.output), _STEPS[what]) * (
-            1 if command.name.startswith("INC") else -1
-        )
-        wanted = (stage.set_v if what == "V" else stage.limit_a) + step
-        {"V": self._voltage, "I": self._current}[what](
-            _Command(what, command.output, "", False, f"{wanted:.4f}"), stage
-        )
-
-    def _save(self, command: _Command, stage: OutputPhase) -> None:
-        self._stored[command.output, self._store(command)] = (stage.set_v, stage.limit_a)
-
-    def _recall(self, command: _Command, stage: OutputPhase) -> None:
-        stored = self._stored.get((command.output, self._store(command)))
-        if stored is None:
-            raise _Refused(facts.EXECUTION_ERROR, _EMPTY_STORE)
-        self._outputs.change(command.output, set_v=stored[0], limit_a=stored[1])
-
-    @staticmethod
-    def _store(command: _Command) -> int:
-        if command.number not in range(_STORES):
-            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        return round(command.number)
-
     def _within(self, command: _Command, what: str) -> float:
         low, high = self._limits[command.output][what]
         if not low <= command.number <= high:
@@ -282,26 +221,9 @@ class AimTti(PlainDialect):
         for name in self._outputs.names:
             self._outputs.switch(name, command.flag)
 
-    def _configure(self, command: _Command) -> str | None:
-        if command.asks:
-            return str(self._config)
-        if command.number not in (0.0, 2.0):
-            raise _Refused(facts.EXECUTION_ERROR, _OUT_OF_RANGE)
-        self._config = round(command.number)
-        return None
-
     def _reset_trips(self) -> None:
         self._outputs.clear_trips()
         self._told_trips.clear()
-
-    def _lock(self, command: _Command) -> str:
-        """Take the interface lock (IFLOCK) or query it (IFLOCK?); return "1" if the lock is held."""
-        self._locked |= not command.asks
-        return str(int(self._locked))
-
-    def _unlock(self) -> str:
-        self._locked = False
-        return "0"
 
     def _take_error(self) -> str:
         error, self._error = self._error, 0
@@ -310,6 +232,3 @@ class AimTti(PlainDialect):
     def _take_event(self) -> str:
         event, self._event = self._event, 0
         return str(event)
-
-    def _clear(self) -> None:
-        self._event, self._error = 0, 0

@@ -1,8 +1,8 @@
 """A simulated Keithley 2000 on one channel of the world: DC volts, the buffer, triggering.
 
 Other functions answer -113; filter and relative can be set but have no effect. The meter accepts commands while it
-measures: only *WAI, *OPC?, READ? and FETCh? wait. Sources: see its facts. Two points are assumptions, not from the
-manual: the format of numbers other than readings, and that FETCh? returns all samples of the last trigger.
+measures: only *WAI and *OPC? wait. Sources: see its facts. The format of numbers other than readings is an
+assumption, not from the manual.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _DC_VOLTS: Final = Function("VOLT", "VOLTage[:DC]", "V", facts.RANGES_V, {})
 _NPLC: Final = (facts.NPLC[0], facts.NPLC[-1])
 _COUNTS: Final = (1, facts.MEMORY_READINGS)
 _SIZES: Final = (facts.LEAST_SAMPLES, facts.MEMORY_READINGS)
-_WAITING: Final = ("*WAI", "*OPC?", "FETCh?")
+_WAITING: Final = ("*WAI", "*OPC?")
 
 
 @dataclass
@@ -96,14 +96,6 @@ class Buffer(MeasuringCycle):
         self._converter.begin()
         self._start(self.trigger_count, keeps=True)
 
-    def read(self) -> str | None:
-        """READ?: abort, initiate, fetch. Raises `ScpiError` -214 for the trigger source BUS."""
-        if self.source == "BUS":
-            raise ScpiError(-214)
-        self.abort()
-        self.initiate()
-        return self._outcome()
-
     def settle(self) -> None:
         """Store the readings of a measurement that has ended; do not wait for one in progress."""
         if self._due and not self.in_progress:
@@ -131,7 +123,7 @@ class Buffer(MeasuringCycle):
         middle_s = self._converter.integration_s(self.measuring) / 2.0
         samples = triggers * self.sample_count
         self._due = [start_s + i * step_s + middle_s for i in range(samples)]
-        self._measures_until(start_s + samples * step_s, triggers)
+        self._measures_until(start_s + samples * step_s)
 
     def _sampled(self, due: float) -> str:
         value = self._converter.sample(self.measuring, due)
@@ -238,9 +230,6 @@ class Keithley2000(ScpiInstrument):
             Command("INITiate[:IMMediate]", buffer.initiate),
             *switch_lines("INITiate:CONTinuous", lambda: buffer, "continuous"),
             Command("ABORt", buffer.abort),
-            Command("READ?", buffer.read),
-            Command("FETCh?", buffer.fetch),
-            Command("*TRG", lambda: buffer.trigger("BUS")),
             Command("*WAI", lambda: None),
             Command("TRIGger:SOURce", self._set_source, (Choice(("IMMediate", "BUS")),)),
             Command("TRIGger:SOURce?", lambda: buffer.source),
@@ -256,18 +245,14 @@ class Keithley2000(ScpiInstrument):
             Command("TRACe:POINts", lambda v: buffer.resize(_whole(v, _SIZES)), (Number(),)),
             Command("TRACe:POINts?", lambda: self.number(buffer.size)),
             Command("TRACe:FEED", lambda _: None, (Choice(("SENSe", "SENSe1")),)),
-            Command("TRACe:FEED?", lambda: "SENS1"),
             Command("TRACe:FEED:CONTrol", self._set_control, (Choice(("NEVer", "NEXT")),)),
-            Command("TRACe:FEED:CONTrol?", lambda: "NEXT" if buffer.stores else "NEV"),
             Command("TRACe:DATA?", buffer.data),
         ]
 
     def _system_commands(self) -> list[Command]:
         return [
             *switch_lines("SYSTem:AZERo:STATe", lambda: self.buffer.measuring, "autozero"),
-            Command("SYSTem:PRESet", self._preset),
             Command("SYSTem:REMote", lambda: None),
-            Command("SYSTem:LOCal", lambda: None),
             Command("FORMat[:DATA]", lambda _: None, (Choice(("ASCii",)),)),
             Command("FORMat[:DATA]?", lambda: "ASC"),
             Command("FORMat:ELEMents", lambda _: None, (Choice(("READing",)),)),
@@ -301,10 +286,6 @@ class Keithley2000(ScpiInstrument):
 
     def _set_control(self, control: str) -> None:
         self.buffer.stores = control == "NEXT"
-
-    def _preset(self) -> None:
-        self.reset()
-        self._switch_on()
 
 
 def _whole(value: Value, ends: tuple[int, int]) -> int:

@@ -30,15 +30,12 @@ from sim.scpi_values import (
     CommandParameter,
     Number,
     ScpiError,
-    Text,
     Value,
-    integer,
     next_above,
-    notation_pattern,
     number_of,
     quoted,
 )
-from sim.voltmeters import VOLT_OVERLOAD, Accuracy, Converter, LineMeter, MeteredSignal
+from sim.voltmeters import Accuracy, Converter, LineMeter, MeteredSignal
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -68,7 +65,7 @@ class Keysight34970A(LineMeter):
     channel that is not on the cards.
     """
 
-    beside_measuring = ("INITiate", "ABORt")
+    beside_measuring = ("INITiate",)
 
     def __init__(
         self,
@@ -98,11 +95,9 @@ class Keysight34970A(LineMeter):
             )
             for number in numbers
         }
-        self._closed: set[int] = set()
-        self.scan = Scan(clock, self._channels, inputs, self._overload, self.device_clear_pending)
+        self.scan = Scan(clock, self._channels, inputs, self.device_clear_pending)
         for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
             self.add(lines)
-        self.add(self._route_commands())
         self.add(self._system_commands())
 
     # --- called by the wire and the bench -----------------------------------------------------------
@@ -118,19 +113,12 @@ class Keysight34970A(LineMeter):
         return [converter for _, converter in self._channels.values()]
 
     def reset(self) -> None:
-        """*RST: default channel settings, open relays, an empty scan list; keep errors and masks."""
-        self.scan.abort()
-        self.scan.preset()
-        self.scan.define(())
-        self._closed.clear()
+        """*RST: default channel settings, an empty scan list; keep errors."""
+        self._scan_anew(())
         for configuration, _ in self._channels.values():
             configuration.preset()
 
-    def _overload(self) -> None:
-        """Report an overload, which shows only in the questionable data register."""
-        self.status.questionable |= VOLT_OVERLOAD
-
-    # --- CONFigure and MEASure ----------------------------------------------------------------------
+    # --- CONFigure ----------------------------------------------------------------------------------
 
     def _measure_commands(self) -> list[Command]:
         words = Number("V", (MIN, MAX, DEF))
@@ -142,8 +130,6 @@ class Keysight34970A(LineMeter):
                 self._configure_temperature,
                 (Choice(KINDS), Number(words=(DEF,)), *parameters),
             ),
-            Command("CONFigure?", self._description, (ChannelList(optional=True),)),
-            Command("MEASure:VOLTage[:DC]?", self._measure, parameters),
         ]
 
     def _configure(self, *values: Value) -> None:
@@ -153,9 +139,7 @@ class Keysight34970A(LineMeter):
         range_value, resolution = (*numbers, DEF, DEF)[:2]
         for channel in channels:
             self._channels[channel][0].configure(range_value, resolution)
-        self.scan.abort()
-        self.scan.preset()
-        self.scan.define(channels)
+        self._scan_anew(channels)
 
     def _configure_temperature(self, kind: str, number: Value, *values: Value) -> None:
         if not str(values[-1]).startswith("("):
@@ -164,32 +148,18 @@ class Keysight34970A(LineMeter):
         probes = {channel: Transducer.of(kind, number, channel) for channel in channels}
         for channel, probe in probes.items():
             self._channels[channel][0].measure_temperature(probe)
+        self._scan_anew(channels)
+
+    def _scan_anew(self, channels: tuple[int, ...]) -> None:
         self.scan.abort()
         self.scan.preset()
         self.scan.define(channels)
-
-    def _measure(self, *values: Value) -> str | None:
-        self._configure(*values)
-        return self.scan.read()
-
-    def _description(self, *values: Value) -> str:
-        parts = []
-        for channel in self._split(values)[1]:
-            settings = self._channels[channel][0].settings
-            full_scale = settings.range_value
-            parts.append(quoted(f"VOLT {full_scale:+.6E},{full_scale * settings.resolution:+.6E}"))
-        return ",".join(parts)
 
     # --- settings of channels -----------------------------------------------------------------------
 
     def _sense_commands(self) -> list[Command]:
         by_integration = {nplc: resolution for resolution, nplc in DC_VOLTS.integration.items()}
         accepted = sorted(by_integration)
-
-        def set_range(channel: ChannelConfiguration, value: Value) -> None:
-            wanted = number_of(value, DC_VOLTS.ranges[0], DC_VOLTS.ranges[-1])
-            channel.settings.range_value = next_above(wanted, DC_VOLTS.ranges)
-            channel.settings.autorange = False
 
         def set_nplc(channel: ChannelConfiguration, value: Value) -> None:
             wanted = number_of(value, accepted[0], accepted[-1])
@@ -200,38 +170,22 @@ class Keysight34970A(LineMeter):
 
         volts, degrees, flag = "[SENSe:]VOLTage[:DC]", "[SENSe:]TEMPerature", Boolean()
         return [
-            *self._lines(
-                f"{volts}:RANGe", Number("V"), set_range, lambda c: f"{c.settings.range_value:+.8E}"
-            ),
-            *self._lines(
-                f"{volts}:RANGe:AUTO", flag, _set_autorange, lambda c: str(int(c.settings.autorange))
-            ),
+            self._query(f"{volts}:RANGe", lambda c: f"{c.settings.range_value:+.8E}"),
+            self._query(f"{volts}:RANGe:AUTO", lambda c: str(int(c.settings.autorange))),
             *self._lines(f"{volts}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
             *self._lines(
                 "[SENSe:]ZERO:AUTO", Boolean(("ONCE",)), _set_autozero, lambda c: str(int(c.autozero))
             ),
             *self._lines("INPut:IMPedance:AUTO", flag, _set_impedance, lambda c: str(int(c.high_impedance))),
             *self._lines("ROUTe:CHANnel:DELay", Number("S"), set_delay, lambda c: f"{c.delay_s:+.8E}"),
-            *self._lines(
-                "ROUTe:CHANnel:DELay:AUTO",
-                flag,
-                _set_automatic_delay,
-                lambda c: str(int(c.stated_delay_s is None)),
-            ),
-            *self._lines("[SENSe:]FUNCtion", Text(), _set_function, lambda c: quoted(c.function.name)),
+            self._query("[SENSe:]FUNCtion", lambda c: quoted(c.function.name)),
             *self._lines(f"{degrees}:NPLCycles", Number(), set_nplc, lambda c: f"{c.nplc:+.8E}"),
             *self._lines("UNIT:TEMPerature", Choice(("C", "F", "K")), _set_unit, lambda _: "C"),
             *(
-                Command(
-                    f"{degrees}:TRANsducer{of}?", partial(self._of_probe, show), (ChannelList(optional=True),)
-                )
+                self._query(f"{degrees}:TRANsducer{of}", partial(_of_probe, show))
                 for of, show in _OF_PROBE.items()
             ),
         ]
-
-    def _of_probe(self, show: Callable[[Transducer], str], channels: str = "") -> str:
-        probes = [self._channels[channel][0].transducer or Transducer() for channel in self._of(channels)]
-        return ",".join(map(show, probes))
 
     def _lines(
         self,
@@ -249,14 +203,14 @@ class Keysight34970A(LineMeter):
             for channel in self._of(channels):
                 change(self._channels[channel][0], value)
 
+        optional = ChannelList(optional=True)
+        return [Command(notation, command, (parameter, optional)), self._query(notation, show)]
+
+    def _query(self, notation: str, show: Callable[[ChannelConfiguration], str]) -> Command:
         def query(channels: str = "") -> str:
             return ",".join(show(self._channels[channel][0]) for channel in self._of(channels))
 
-        optional = ChannelList(optional=True)
-        return [
-            Command(notation, command, (parameter, optional)),
-            Command(f"{notation}?", query, (optional,)),
-        ]
+        return Command(f"{notation}?", query, (ChannelList(optional=True),))
 
     def _of(self, text: str) -> tuple[int, ...]:
         """Return the channels of a list, or those of the scan list if `text` is empty.
@@ -276,33 +230,18 @@ class Keysight34970A(LineMeter):
             return values[:-1], self._of(str(values[-1]))
         return values, self._of("")
 
-    # --- scan list, relays, system ------------------------------------------------------------------
+    # --- scan list, system --------------------------------------------------------------------------
 
-    def _route_commands(self) -> list[Command]:
-        channels = (ChannelList(),)
+    def _system_commands(self) -> list[Command]:
         return [
-            Command("ROUTe:SCAN", lambda text: self.scan.define(listed(text, self.cards)), channels),
+            Command("ROUTe:SCAN", lambda text: self.scan.define(listed(text, self.cards)), (ChannelList(),)),
             Command("ROUTe:SCAN?", self._scan_list),
-            Command("ROUTe:SCAN:SIZE?", lambda: integer(len(self.scan.channel_list))),
-            Command("ROUTe:CLOSe", lambda text: self._closed.update(self._of(text)), channels),
-            Command("ROUTe:OPEN", lambda text: self._closed.difference_update(self._of(text)), channels),
-            Command("ROUTe:CLOSe?", partial(self._relays, True), channels),
-            Command("ROUTe:OPEN?", partial(self._relays, False), channels),
+            Command("SYSTem:CTYPe?", self._card, (Number(words=()),)),
         ]
 
     def _scan_list(self) -> str:
         text = f"(@{','.join(map(str, self.scan.channel_list))})"
         return f"#{len(str(len(text)))}{len(text)}{text}"
-
-    def _relays(self, closed: bool, text: str) -> str:
-        return ",".join(str(int((channel in self._closed) is closed)) for channel in self._of(text))
-
-    def _system_commands(self) -> list[Command]:
-        return [
-            Command("SYSTem:CTYPe?", self._card, (Number(words=()),)),
-            Command("INSTrument:DMM?", lambda: "1"),
-            Command("INSTrument:DMM:INSTalled?", lambda: "1"),
-        ]
 
     def _card(self, slot: float) -> str:
         if slot not in _SLOTS:
@@ -321,13 +260,13 @@ _OF_PROBE: Final[dict[str, Callable[[Transducer], str]]] = {
 }
 
 
+def _of_probe(show: Callable[[Transducer], str], channel: ChannelConfiguration) -> str:
+    return show(channel.transducer or Transducer())
+
+
 def _set_unit(_channel: ChannelConfiguration, unit: Value) -> None:
     if unit != "C":
         raise ScpiError(-224)
-
-
-def _set_autorange(channel: ChannelConfiguration, flag: Value) -> None:
-    channel.settings.autorange = flag == "1"
 
 
 def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
@@ -337,15 +276,6 @@ def _set_autozero(channel: ChannelConfiguration, flag: Value) -> None:
 
 def _set_impedance(channel: ChannelConfiguration, flag: Value) -> None:
     channel.high_impedance = flag == "1"
-
-
-def _set_automatic_delay(channel: ChannelConfiguration, flag: Value) -> None:
-    channel.stated_delay_s = None if flag == "1" else channel.delay_s
-
-
-def _set_function(_channel: ChannelConfiguration, name: Value) -> None:
-    if not notation_pattern(DC_VOLTS.notation).match(str(name).strip()):
-        raise ScpiError(-224)
 
 
 _PLACE: Final = 3

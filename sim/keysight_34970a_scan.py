@@ -21,9 +21,7 @@ from sim.scpi_values import (
     Number,
     ScpiError,
     Value,
-    integer,
     list_spans,
-    number_of,
     within,
 )
 from sim.voltmeters import (
@@ -250,7 +248,6 @@ class CardInput:
 # "Reading Format Commands", "Scan Memory Commands".
 
 _MOST_SWEEPS: Final = 50_000
-_LONGEST_TIMER_S: Final = 359_999.0
 _RELAY_S: Final = 4e-3
 _CANNOT: Final = 305
 _INFINITE: Final = "+9.90000200E+37"
@@ -266,19 +263,16 @@ class Scan(MeasuringCycle):
     """
 
     memory_depth = MEMORY_READINGS
-    starts_itself = ("IMM", "TIM")
 
     def __init__(
         self,
         clock: Clock,
         channels: Mapping[int, tuple[ChannelConfiguration, Converter]],
         inputs: Mapping[int, CardInput],
-        on_overload: Callable[[], None],
         interrupted: Callable[[], bool],
     ) -> None:
         self._channels = channels
         self._inputs = inputs
-        self._on_overload = on_overload
         self.channel_list: tuple[int, ...] = ()
         self._began_s = 0.0
         super().__init__(clock, interrupted)
@@ -287,7 +281,6 @@ class Scan(MeasuringCycle):
         """Set the defaults of *RST, CONFigure and MEASure: one immediate sweep, readings without other fields."""
         self.source = "IMM"
         self.count: float = 1
-        self.timer_s = 0.0
         self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)
 
     def define(self, channels: tuple[int, ...]) -> None:
@@ -301,50 +294,24 @@ class Scan(MeasuringCycle):
 
         Raises `ScpiError` -213 during a scan, 305 for an empty scan list or as stated for the class.
         """
-        self._begin(keeps=True)
-
-    def read(self) -> str | None:
-        """READ?: scan and return the readings without storing them.
-
-        Raises `ScpiError` as `initiate`, and -214 for the trigger source BUS.
-        """
-        if self.source == "BUS":
-            raise ScpiError(-214)
-        self._begin(keeps=False)
-        return self._outcome()
-
-    def remove(self, count: float) -> str:
-        """DATA:REMove?: remove and return the oldest readings.
-
-        Raises `ScpiError` -222 for more readings than there are, -230 if the memory is empty.
-        """
-        number = int(within(round(count), 1, max(1, len(self._memory))))
-        taken, self._memory = self._memory[:number], self._memory[number:]
-        if not taken:
-            raise ScpiError(-230)
-        return ",".join(taken)
-
-    def _begin(self, keeps: bool) -> None:
         self._require_idle()
         if not self.channel_list or self.count * len(self.channel_list) > self.memory_depth:
             raise ScpiError(_CANNOT)
         self._began_s = self._clock.now_s()
         for channel in self.channel_list:
             self._channels[channel][1].begin()
-        self._start(self.count, keeps=keeps)
+        self._start(self.count, keeps=True)
 
     def _schedule(self, triggers: int) -> None:
         """Schedule the samples of the next sweeps, each at the middle of its integration."""
-        start_s = now_s = self._clock.now_s()
-        for sweep in range(triggers):
-            if self.source == "TIM":
-                now_s = max(now_s, start_s + sweep * self.timer_s)
+        now_s = self._clock.now_s()
+        for _ in range(triggers):
             for channel in self.channel_list:
                 configuration, converter = self._channels[channel]
                 now_s += _RELAY_S + configuration.delay_s
                 self._due.append((channel, now_s + converter.integration_s(configuration) / 2.0))
                 now_s += converter.sample_s(configuration)
-        self._measures_until(now_s, triggers)
+        self._measures_until(now_s)
 
     def _sampled(self, due: tuple[int, float]) -> str:
         channel, time_s = due
@@ -354,8 +321,6 @@ class Scan(MeasuringCycle):
             value = converter.sample(configuration, time_s)
         else:
             value = self._inputs[channel].shown_c(transducer.configured, time_s)
-        if abs(value) >= OVERLOAD_V:
-            self._on_overload()
         return self._text(channel, time_s, value, converter.step(configuration))
 
     def _text(self, channel: int, time_s: float, value: float, step: float) -> str:
@@ -371,21 +336,14 @@ class Scan(MeasuringCycle):
     def commands(self) -> list[Command]:
         """Return the commands and queries for triggering, memory and reading format."""
         count = (Number(words=(MIN, MAX, INF)),)
-        source = (Choice(("BUS", "IMMediate", "EXTernal", "TIMer")),)
+        source = (Choice(("BUS", "IMMediate", "EXTernal")),)
         lines = [
-            Command("ABORt", self.abort),
             Command("INITiate", self.initiate),
-            Command("READ?", self.read),
             Command("FETCh?", self.fetch),
-            Command("*TRG", lambda: self.trigger("BUS")),
             Command("TRIGger:SOURce", self._set_source, source),
             Command("TRIGger:SOURce?", lambda: self.source),
             Command("TRIGger:COUNt", self._set_count, count),
             Command("TRIGger:COUNt?", lambda: _INFINITE if math.isinf(self.count) else f"{self.count:+.8E}"),
-            Command("TRIGger:TIMer", self._set_timer, (Number("S"),)),
-            Command("TRIGger:TIMer?", lambda: f"{self.timer_s:+.8E}"),
-            Command("DATA:POINts?", lambda: integer(len(self._memory))),
-            Command("DATA:REMove?", self.remove, (Number(words=()),)),
         ]
         for word in _EXTRAS:
             lines += self._extra_lines(word)
@@ -408,6 +366,3 @@ class Scan(MeasuringCycle):
     def _set_count(self, value: Value) -> None:
         words = {MIN: 1.0, MAX: float(_MOST_SWEEPS), INF: math.inf}
         self.count = words[value] if isinstance(value, str) else within(round(value), 1, _MOST_SWEEPS)
-
-    def _set_timer(self, value: Value) -> None:
-        self.timer_s = within(number_of(value, 0.0, _LONGEST_TIMER_S), 0.0, _LONGEST_TIMER_S)

@@ -6,11 +6,11 @@ logging. Source: E36300 Series Programming Guide, as in the facts.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from drivers.facts import keysight_e36300 as facts
 from sim.scpi import Command
-from sim.scpi_values import Boolean, Number, OutputList, ScpiError, listed, number_of, numbered, within
+from sim.scpi_values import Boolean, Number, OutputList, ScpiError, listed, numbered
 from sim.supply import LEVEL, WORDS, KeysightSupply, shown_number
 
 if TYPE_CHECKING:
@@ -20,18 +20,12 @@ if TYPE_CHECKING:
     from sim.world.power import OutputPhase
     from sim.world.world import World
 
-_LONGEST_DELAY_S: Final = 3600.0
-_DEFAULT_DELAY_S: Final = 0.05
-
 
 class KeysightE36300(KeysightSupply):
-    """A supply of the series. Commands without a channel list apply to the selected output."""
+    """A supply of the series. Commands without a channel list apply to the first output, which stays selected."""
 
     def __init__(self, world: World, *, model: str = "E36312A") -> None:
-        self._delays_s: dict[str, float] = {}
-        super().__init__(
-            world, facts, model, numbered(facts.IDENTITY.format(model=model), 1), version="1999.0"
-        )
+        super().__init__(world, facts, model, numbered(facts.IDENTITY.format(model=model), 1))
         self.add(self._settings_commands())
         self.add(
             [
@@ -43,11 +37,6 @@ class KeysightE36300(KeysightSupply):
     def input_overflow(self) -> None:
         """Report a message that exceeded the input buffer (-223)."""
         self.report(-223)
-
-    def reset(self) -> None:
-        """*RST: as the base class; also reset the delays of the over-current protection."""
-        self._delays_s = {}
-        super().reset()
 
     def _preset(self, name: str) -> dict[str, Any]:
         return {
@@ -79,20 +68,12 @@ class KeysightE36300(KeysightSupply):
                 Number("V", WORDS),
             ),
             Command("[SOURce:]VOLTage:PROTection:TRIPped?", self._each(self._over_voltage), (OutputList(),)),
-            Command("[SOURce:]VOLTage:PROTection:CLEar", self._clear, (OutputList(),)),
-            Command("[SOURce:]CURRent:PROTection:STATe", self._set_over_current, (Boolean(), OutputList())),
-            Command("[SOURce:]CURRent:PROTection:STATe?", self._each(self._over_current_on), (OutputList(),)),
-            Command("[SOURce:]CURRent:PROTection:DELay[:TIME]", self._set_delay, (Number("S"), OutputList())),
-            Command("[SOURce:]CURRent:PROTection:DELay[:TIME]?", self._each(self._delay), (OutputList(),)),
             Command("[SOURce:]CURRent:PROTection:TRIPped?", self._each(self._over_current), (OutputList(),)),
-            Command("[SOURce:]CURRent:PROTection:CLEar", self._clear, (OutputList(),)),
             Command("OUTPut[:STATe]", self._switch, (Boolean(), OutputList())),
             Command(
                 "OUTPut[:STATe]?", self._each(lambda n: str(int(self._outputs.stage(n).on))), (OutputList(),)
             ),
             Command("OUTPut:PROTection:CLEar", self._clear, (OutputList(),)),
-            Command("INSTrument[:SELect]", self._select, (_Selected(),)),
-            Command("INSTrument[:SELect]?", lambda: f"CH{self._selected}"),
         ]
 
     def _both(
@@ -143,24 +124,6 @@ class KeysightE36300(KeysightSupply):
         highest_v = max(self._limits[name]["over_voltage_v"], key=abs)
         self._outputs.change(name, trip_v=self._of(name, "over_voltage_v", value, highest_v))
 
-    def _set_over_current(self, on: Value, outputs: Value = "") -> None:
-        for name in self._listed(outputs):
-            delay_s = self._delays_s.get(name, _DEFAULT_DELAY_S)
-            self._outputs.change(name, trip_after_s=delay_s if on == "1" else None)
-
-    def _over_current_on(self, name: str) -> str:
-        return str(int(self._outputs.stage(name).trip_after_s is not None))
-
-    def _set_delay(self, value: Value, outputs: Value = "") -> None:
-        delay_s = within(number_of(value, 0.0, _LONGEST_DELAY_S), 0.0, _LONGEST_DELAY_S)
-        for name in self._listed(outputs):
-            self._delays_s[name] = delay_s
-            if self._outputs.stage(name).trip_after_s is not None:
-                self._outputs.change(name, trip_after_s=delay_s)
-
-    def _delay(self, name: str) -> str:
-        return shown_number(self._delays_s.get(name, _DEFAULT_DELAY_S))
-
     def _switch(self, on: Value, outputs: Value = "") -> None:
         for name in self._listed(outputs):
             self._outputs.switch(name, on == "1")
@@ -168,9 +131,6 @@ class KeysightE36300(KeysightSupply):
     def _clear(self, outputs: Value = "") -> None:
         for name in self._listed(outputs):
             self._outputs.change(name, tripped=None)
-
-    def _select(self, output: Value) -> None:
-        self._select_number(float(str(output)))
 
     # --- measurements -------------------------------------------------------------------------------
 
@@ -185,18 +145,3 @@ class KeysightE36300(KeysightSupply):
 
     def _over_current(self, name: str) -> str:
         return str(int(self._outputs.stage(name).tripped == "current"))
-
-
-class _Selected:
-    """A parameter that names an output: CH1, OUTPut2, or P6V, P25V, N25V as on an E3631A."""
-
-    optional = False
-
-    def parse(self, text: str) -> Value:
-        """Return the number of the output as text. Raises `ScpiError` -224 for an unknown name."""
-        word = text.upper()
-        names = {"P6V": "1", "P25V": "2", "N25V": "3"}
-        digit = names.get(word, word[-1:])
-        if word not in names and word.rstrip("123") not in ("CH", "OUTP", "OUTPUT"):
-            raise ScpiError(-224)
-        return digit

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from drivers.facts import keysight_e3631a as facts
-from sim.scpi import Command, Interface, switch_lines
-from sim.scpi_values import DEF, Boolean, Choice, Number, quoted
+from sim.scpi import Command, Interface
+from sim.scpi_values import DEF, Boolean, Choice, Number, quoted, within
 from sim.supply import LEVEL, WORDS, KeysightSupply, shown_number
 
 if TYPE_CHECKING:
@@ -23,15 +23,13 @@ class KeysightE3631A(KeysightSupply):
 
     def __init__(self, world: World, *, interface: Interface = "gpib") -> None:
         self._tracks = False
-        self.display_on = True
-        super().__init__(world, facts, "E3631A", facts.IDENTITY, version="1995.0", interface=interface)
+        super().__init__(world, facts, "E3631A", facts.IDENTITY, interface=interface)
         self.add(self._settings_commands())
         chosen = (Choice(self._outputs.names, optional=True),)
         self.add(
             [
                 Command("MEASure[:VOLTage][:DC]?", self._measure_voltage, chosen),
                 Command("MEASure:CURRent[:DC]?", self._measure_current, chosen),
-                *switch_lines("DISPlay[:WINDow][:STATe]", lambda: self, "display_on"),
             ]
         )
 
@@ -39,8 +37,8 @@ class KeysightE3631A(KeysightSupply):
         return {"set_v": 0.0, "limit_a": facts.DEFAULT_CURRENT_A[name], "trip_v": None, "trip_after_s": None}
 
     def reset(self) -> None:
-        """*RST: as the base class; also leave track mode and switch the display on."""
-        self._tracks, self.display_on = False, True
+        """*RST: as the base class; also leave track mode."""
+        self._tracks = False
         super().reset()
 
     # --- commands -----------------------------------------------------------------------------------
@@ -53,8 +51,7 @@ class KeysightE3631A(KeysightSupply):
         return [
             Command("APPLy", self._apply, (output, Number("V", WORDS, True), Number("A", WORDS, True))),
             Command("APPLy?", self._applied, (chosen,)),
-            Command("INSTrument[:SELect]", self._select, (output,)),
-            Command("INSTrument[:SELect]?", lambda: self._selected),
+            Command("INSTrument:NSELect", self._select, (Number(words=()),)),
             Command(f"[SOURce:]VOLTage{LEVEL}", lambda v: self._set("voltage_v", v), (volts,)),
             Command(f"[SOURce:]VOLTage{LEVEL}?", lambda *w: self._setting("voltage_v", *w), (extreme,)),
             Command(f"[SOURce:]CURRent{LEVEL}", lambda v: self._set("current_a", v), (amperes,)),
@@ -79,8 +76,8 @@ class KeysightE3631A(KeysightSupply):
         stage = self._outputs.stage(str(output or self._selected))
         return quoted(f"{stage.set_v:.6f},{stage.limit_a:.6f}")
 
-    def _select(self, output: Value) -> None:
-        self._selected = str(output)
+    def _select(self, number: float) -> None:
+        self._selected = self._outputs.names[round(within(number, 1, len(self._outputs.names))) - 1]
 
     def _set(self, what: str, value: Value) -> None:
         number = self._value(self._selected, what, value)

@@ -23,10 +23,9 @@ if TYPE_CHECKING:
 _REQUEST: Final = re.compile(rf"{facts.START}N([0-9A-Z])(C[0-9A-Z]) (.{{1,200}}){facts.END}", re.DOTALL)
 
 
-_FIXED: Final = {
-    "R TS": "OFF", "RB D": "000005 1.0", "RB B": "2 01234---", "RB I": "NIVEL210",
-    "RP OX": "+0.0000", "RP OY": "+0.0000", "RP OT": "+0.0",
-}  # fmt: skip
+_FIXED: Final = {"RB D": "000005 1.0", "RS C": "ON", "RS M": "CONT"}
+"""Queries with replies that never change: serial number and firmware, corrected values, continuous measurement."""
+_SET_AVERAGES: Final = re.compile(r"W N (\d{3})")
 
 
 class LeicaNivel(PlainDialect):
@@ -57,7 +56,6 @@ class LeicaNivel(PlainDialect):
     def power_cycle(self) -> None:
         """Switch off and on, which restores the default settings."""
         self._averages = facts.AVERAGES
-        self._switches = {"B": "OFF", "C": "ON", "M": "CONT", "P": "OFF"}
 
     @staticmethod
     def _framed(said: bytes) -> bytes:
@@ -68,37 +66,14 @@ class LeicaNivel(PlainDialect):
     def _answer(self, command: str) -> str | None:
         asked = " ".join(command.split())
         if asked == "G A":
-            return " ".join(f"{axis}:{self._mrad(axis):+.3f}" for axis in "XY") + f" {self._temperature}"
-        if asked in ("G X", "G Y"):
-            return f"{asked[-1]}:{self._mrad(asked[-1]):+.3f}"
+            axes = " ".join(f"{axis}:{self._mrad(axis):+.3f}" for axis in "XY")
+            return f"{axes} T:{self._world.room_c():+.1f}"
         if asked == "G P":
             within = all(abs(self._mrad(axis)) <= facts.RANGE_RAD / facts.MRAD for axis in "XY")
             return "OK" if within else "F"
-        known = {"G T": self._temperature, "R N": f"{self._averages:03d}", "RB A": self._addresses, **_FIXED}
-        known |= {f"RS {switch}": to for switch, to in self._switches.items()}
-        if asked not in known:
-            self._command(*asked.partition(" ")[::2])
-        return known.get(asked)
-
-    @property
-    def _temperature(self) -> str:
-        return f"T:{self._world.room_c():+.1f}"
-
-    @property
-    def _addresses(self) -> str:
-        return f"N{self._sensor} 10 20 30 40 50 60 70"
-
-    def _command(self, verb: str, rest: str) -> None:
-        match verb, rest.split():
-            case "W", ["N", number] if re.fullmatch(r"\d{3}", number):
-                if 1 <= int(number) <= facts.MOST_AVERAGES:
-                    self._averages = int(number)
-            case "S", [("B" | "C" | "P") as switch, ("ON" | "OFF") as to]:
-                self._switches[switch] = to
-            case "S", ["M", ("CONT" | "PRE") as to]:
-                self._switches["M"] = to
-            case ("RES", ["SYS"]) | ("PD", []) | ("PR", []):
-                self.power_cycle()
+        if (wanted := _SET_AVERAGES.fullmatch(asked)) and 1 <= int(wanted[1]) <= facts.MOST_AVERAGES:
+            self._averages = int(wanted[1])
+        return {"R N": f"{self._averages:03d}", **_FIXED}.get(asked)
 
     def _mrad(self, axis: str) -> float:
         way, sign = self._axes[axis]

@@ -71,14 +71,12 @@ class Esp301(PlainDialect):
             self._motor_on, self._zero_rad = True, 0.0
         self._verbs: dict[str, Callable[[str], str | None]] = {
             "PA": self._move,
-            "PR": self._move_by,
             "TP": lambda _: f"{self._position_deg:.{self._decimals}f}",
             "MD": lambda _: str(int(not self._turns)),
             "MO": self._power,
-            "MF": self._power_off,
             "ST": self._stop,
             "VA": self._speed,
-            "SN": self._units,
+            "SN": lambda _: str(self._unit),
             "OR": self._home,
         }
 
@@ -111,12 +109,11 @@ class Esp301(PlainDialect):
     # --- messages -----------------------------------------------------------------------------------
 
     def _execute(self, command: str) -> str | None:
-        if command in ("*IDN?", "VE?", "VE"):
+        if command == "*IDN?":
             return f"{self._model} {_LIKE_IT}"
-        if command in ("TE?", "TE", "TB?", "TB"):
+        if command == "TB?":
             code = self._errors.popleft() if self._errors else facts.NO_ERROR
-            ticks = round(self._world.clock.now_s() / _TICK_S)
-            return str(code) if command.startswith("TE") else f"{code}, {ticks}, {_message(code)}"
+            return f"{code}, {round(self._world.clock.now_s() / _TICK_S)}, {_message(code)}"
         match = _COMMAND.fullmatch(command)
         if match is None or match[2] not in self._verbs:
             raise _Mistake(facts.UNKNOWN_COMMAND)
@@ -143,7 +140,8 @@ class Esp301(PlainDialect):
         """Update the state after a motion: a completed homing sets the zero, a stuck axis causes an error."""
         if self._motor_on and self._world.head_stuck:
             self._errors.append(self._axis * facts.AXIS_ERRORS + facts.FOLLOWING_ERROR)
-            self._power_off("")
+            self._stop("")
+            self._motor_on = False
         elif self._homing and not self._turns:
             self._homing = False
             self._zero_rad = 0.0
@@ -159,12 +157,7 @@ class Esp301(PlainDialect):
     # --- commands -----------------------------------------------------------------------------------
 
     def _move(self, value: str) -> None:
-        self._go(_number(value))
-
-    def _move_by(self, value: str) -> None:
-        self._go(self._position_deg + _number(value))
-
-    def _go(self, target_deg: float) -> None:
+        target_deg = _number(value)
         self._refuse_motor_off()
         lowest_deg, highest_deg = self._limits_deg
         if not lowest_deg <= target_deg <= highest_deg:
@@ -190,13 +183,6 @@ class Esp301(PlainDialect):
         self._motor_on = True
         return None
 
-    def _power_off(self, value: str) -> str | None:
-        if value == "?":
-            return str(int(self._motor_on))
-        self._stop("")
-        self._motor_on = False
-        return None
-
     def _stop(self, _: str) -> None:
         self._homing = False
         self._world.stop_head()
@@ -210,12 +196,6 @@ class Esp301(PlainDialect):
         if deg_s > self._most_deg_s * (1.0 + 1e-6):
             raise self._axis_mistake(facts.TOO_FAST)
         self._deg_s = deg_s
-        return None
-
-    def _units(self, value: str) -> str | None:
-        if value == "?":
-            return str(self._unit)
-        self._unit = int(_number(value))
         return None
 
 

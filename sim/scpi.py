@@ -15,18 +15,16 @@ from sim.scpi_values import (
     ERRORS,
     MAX,
     MIN,
-    OPERATION_COMPLETE,
     Boolean,
     ErrorQueue,
+    EventRegister,
     Number,
     ScpiError,
-    StatusRegisters,
     integer,
     notation_pattern,
     parse_parameters,
     quoted,
     split_outside_quotes,
-    within,
 )
 
 if TYPE_CHECKING:
@@ -72,13 +70,12 @@ class ScpiInstrument:
     def __init__(self, identity: str, errors: Mapping[int, str] | None = None) -> None:
         self.identity = identity
         self.errors = ErrorQueue()
-        self.status = StatusRegisters()
+        self.events = EventRegister()
         self._interrupted: Callable[[], bool] = never
         self._error_texts = {**ERRORS, **(errors or {})}
         self._table: list[tuple[re.Pattern[str], Command]] = []
         self._found: dict[str, Command] = {}
         self.add(self._common_commands())
-        self.add(self._status_commands())
 
     def add(self, commands: Sequence[Command]) -> None:
         """Add lines to the command table."""
@@ -105,7 +102,7 @@ class ScpiInstrument:
         return ";".join(replies).encode("ascii") if replies else None
 
     def device_clear(self) -> None:
-        """Abort the command or measurement in progress; keep settings, errors and status."""
+        """Abort the command or measurement in progress; keep settings and errors."""
 
     def input_overflow(self) -> None:
         """Report a message that exceeded the input buffer (-223)."""
@@ -114,7 +111,7 @@ class ScpiInstrument:
     def power_cycle(self) -> None:
         """Switch off and on, which clears settings and errors."""
         self.errors.clear()
-        self.status.power_cycle()
+        self.events = EventRegister()
         self.reset()
 
     # --- to be overridden by an instrument ----------------------------------------------------------
@@ -142,7 +139,7 @@ class ScpiInstrument:
     def report(self, number: int) -> None:
         """Put an error into the queue and set the bit of its class in the event register."""
         self.errors.push(number)
-        self.status.note_error(number)
+        self.events.note_error(number)
 
     def next_error(self) -> str:
         """Remove and return the oldest error: `-113,"Undefined header"`, or `+0,"No error"`."""
@@ -200,50 +197,20 @@ class ScpiInstrument:
     # --- common commands ----------------------------------------------------------------------------
 
     def _common_commands(self) -> list[Command]:
-        byte: tuple[CommandParameter, ...] = (Number(words=()),)
         return [
             Command("*CLS", self._clear_status),
-            *self._mask_lines("*ESE", "event_enable", 255),
-            Command("*ESR?", lambda: self.number(self.status.take_event())),
+            Command("*ESR?", lambda: self.number(self.events.take())),
             Command("*IDN?", lambda: self.identity),
-            Command("*OPC", self._operation_complete),
             Command("*OPC?", lambda: "1"),
-            Command("*PSC", self._set_power_on_clear, byte),
-            Command("*PSC?", lambda: str(int(self.status.power_on_clear))),
             Command("*RST", self.reset),
-            *self._mask_lines("*SRE", "service_enable", 255),
-            Command("*STB?", lambda: self.number(self.status.status_byte)),
+            Command("*STB?", lambda: self.number(0)),  # nothing can be enabled to show in it
             Command("*TST?", lambda: self.number(self.self_test())),
-        ]
-
-    def _status_commands(self) -> list[Command]:
-        return [
             Command("SYSTem:ERRor?", self.next_error),
-            Command("STATus:QUEStionable[:EVENt]?", lambda: self.number(self.status.take_questionable())),
-            *self._mask_lines("STATus:QUEStionable:ENABle", "questionable_enable", 32767),
-            Command("STATus:PRESet", lambda: setattr(self.status, "questionable_enable", 0)),
-        ]
-
-    def _mask_lines(self, notation: str, name: str, most: int) -> list[Command]:
-        """Return command and query of an enable mask in the status registers, a whole number up to `most`."""
-        return [
-            Command(
-                notation,
-                lambda mask: setattr(self.status, name, round(within(mask, 0, most))),
-                (Number(words=()),),
-            ),
-            Command(f"{notation}?", lambda: self.number(getattr(self.status, name))),
         ]
 
     def _clear_status(self) -> None:
         self.errors.clear()
-        self.status.clear()
-
-    def _operation_complete(self) -> None:
-        self.status.event |= OPERATION_COMPLETE
-
-    def _set_power_on_clear(self, flag: float) -> None:
-        self.status.power_on_clear = round(flag) != 0
+        self.events.bits = 0
 
 
 Interface = Literal["gpib", "rs232", "lan"]

@@ -1,4 +1,4 @@
-"""Values and status of SCPI instruments: parameters, channel lists, replies, error queue, status registers."""
+"""Values and status of SCPI instruments: parameters, channel lists, replies, error queue, event register."""
 
 from __future__ import annotations
 
@@ -15,16 +15,11 @@ if TYPE_CHECKING:
 # --- status -----------------------------------------------------------------------------------------
 # Source: IEEE Std 488.2, 11; 34401A User's Guide (34401-90004), chapters 4 "The SCPI Status Model" and 5.
 
-OPERATION_COMPLETE: Final = 1
 QUERY_ERROR: Final = 4
 DEVICE_ERROR: Final = 8
 EXECUTION_ERROR: Final = 16
 COMMAND_ERROR: Final = 32
 POWER_ON: Final = 128
-
-QUESTIONABLE_SUMMARY: Final = 8
-EVENT_SUMMARY: Final = 32
-REQUEST_SERVICE: Final = 64
 
 ERRORS: Final[dict[int, str]] = {
     0: "No error",
@@ -44,7 +39,6 @@ ERRORS: Final[dict[int, str]] = {
     -148: "Character data not allowed",
     -151: "Invalid string data",
     -158: "String data not allowed",
-    -211: "Trigger ignored",
     -213: "Init ignored",
     -214: "Trigger deadlock",
     -221: "Settings conflict",
@@ -97,67 +91,27 @@ class ErrorQueue:
         self._numbers.clear()
 
 
-class StatusRegisters:
-    """The standard event and questionable data registers with their enable masks, and the status byte.
-
-    A power cycle sets POWER_ON in the event register. It clears the masks of the standard events and of service
-    requests, unless `power_on_clear` (*PSC) is False.
-    """
+class EventRegister:
+    """The standard event register, which reading clears. A power cycle sets POWER_ON."""
 
     def __init__(self) -> None:
-        self.event = POWER_ON
-        self.event_enable = 0
-        self.questionable = 0
-        self.questionable_enable = 0
-        self.service_enable = 0
-        self.power_on_clear = True
-
-    def power_cycle(self) -> None:
-        """Set the registers to their state after switching off and on."""
-        self.event = POWER_ON
-        self.questionable = 0
-        self.questionable_enable = 0
-        if self.power_on_clear:
-            self.event_enable = 0
-            self.service_enable = 0
-
-    def clear(self) -> None:
-        """Clear the event registers but not the masks (*CLS)."""
-        self.event = 0
-        self.questionable = 0
+        self.bits = POWER_ON
 
     def note_error(self, number: int) -> None:
-        """Set the event bit of an error's class (-1xx command, -2xx execution, -4xx query, else device)."""
+        """Set the bit of an error's class (-1xx command, -2xx execution, -4xx query, else device)."""
         if -200 < number <= -100:
-            self.event |= COMMAND_ERROR
+            self.bits |= COMMAND_ERROR
         elif -300 < number <= -200:
-            self.event |= EXECUTION_ERROR
+            self.bits |= EXECUTION_ERROR
         elif -500 < number <= -400:
-            self.event |= QUERY_ERROR
+            self.bits |= QUERY_ERROR
         else:
-            self.event |= DEVICE_ERROR
+            self.bits |= DEVICE_ERROR
 
-    def take_event(self) -> int:
-        """Read and clear the standard event register (*ESR?)."""
-        value, self.event = self.event, 0
+    def take(self) -> int:
+        """Read and clear the register (*ESR?)."""
+        value, self.bits = self.bits, 0
         return value
-
-    def take_questionable(self) -> int:
-        """Read and clear the questionable data register (STATus:QUEStionable:EVENt?)."""
-        value, self.questionable = self.questionable, 0
-        return value
-
-    @property
-    def status_byte(self) -> int:
-        """The status byte (*STB?). "Message available" is never set, because replies are sent at once."""
-        byte = 0
-        if self.questionable & self.questionable_enable:
-            byte |= QUESTIONABLE_SUMMARY
-        if self.event & self.event_enable:
-            byte |= EVENT_SUMMARY
-        if byte & self.service_enable:
-            byte |= REQUEST_SERVICE
-        return byte
 
 
 # --- values -----------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from sim.scpi import Command, Interface, RemoteInstrument, never
-from sim.scpi_values import DEF, MAX, MIN, Number, Text, Value, quoted, within
+from sim.scpi_values import DEF, MAX, MIN, Value, within
 
 if TYPE_CHECKING:
     from types import ModuleType
@@ -104,15 +104,10 @@ def _rounded(value: float, step: float) -> float:
 
 LEVEL: Final = "[:LEVel][:IMMediate][:AMPLitude]"
 WORDS: Final = (MIN, MAX, DEF)
-_QUESTIONABLE_SUMMARY: Final = 1 << 13
-_DISPLAY_WIDTH: Final = 12
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: outputs of a world, one of them selected, and a display text.
-
-    `facts` are those of the supply, `version` is its reply to SYSTem:VERSion?.
-    """
+    """The base of the Keysight supplies: outputs of a world, one of them selected; `facts` are the supply's."""
 
     def __init__(
         self,
@@ -121,19 +116,23 @@ class KeysightSupply(RemoteInstrument):
         model: str,
         identity: str,
         *,
-        version: str,
         interface: Interface = "lan",
     ) -> None:
         super().__init__(identity, {}, interface)
         self.model = model
         self._facts = facts
-        self._text = ""
         limits = facts.OUTPUTS[model]
         self._selected = next(iter(limits))
         self._outputs = Outputs(
             world, limits, self._preset, self.power_cycle, one_switch=facts.SWITCHED_TOGETHER
         )
-        self.add(self._shared_commands(version))
+        summary = "STATus:QUEStionable:INSTrument:ISUMmary"
+        self.add(
+            [
+                Command(f"{summary}{number}:CONDition?", lambda name=name: self.number(self._condition(name)))
+                for number, name in enumerate(limits, start=1)
+            ]
+        )
 
     @abstractmethod
     def _preset(self, name: str) -> dict[str, Any]:
@@ -144,27 +143,9 @@ class KeysightSupply(RemoteInstrument):
         return super().handle(message, interrupted) if self._outputs.has_mains else None
 
     def reset(self) -> None:
-        """*RST: select the first output, clear the display text, switch all outputs off and preset them."""
-        self._selected, self._text = self._outputs.names[0], ""
+        """*RST: select the first output, switch all outputs off and preset them."""
+        self._selected = self._outputs.names[0]
         self._outputs.reset()
-
-    def _shared_commands(self, version: str) -> list[Command]:
-        names, summary = self._outputs.names, "STATus:QUEStionable:INSTrument:ISUMmary"
-        return [
-            Command("INSTrument:NSELect", self._select_number, (Number(words=()),)),
-            Command("INSTrument:NSELect?", lambda: str(1 + names.index(self._selected))),
-            Command("STATus:QUEStionable:CONDition?", self._summary),
-            *(
-                Command(f"{summary}{number}{node}?", lambda name=name: self.number(self._condition(name)))
-                for number, name in enumerate(names, start=1)
-                for node in (":CONDition", "[:EVENt]")
-            ),
-            Command("DISPlay[:WINDow]:TEXT[:DATA]", self._write_text, (Text(),)),
-            Command("DISPlay[:WINDow]:TEXT[:DATA]?", lambda: quoted(self._text)),
-            Command("DISPlay[:WINDow]:TEXT:CLEar", lambda: self._write_text("")),
-            Command("SYSTem:BEEPer[:IMMediate]", lambda: None),
-            Command("SYSTem:VERSion?", lambda: version),
-        ]
 
     def _of(self, name: str, what: str, value: Value, default: float) -> float:
         """Return the setting `what` of an output from a number or a word. Raises `ScpiError` -222 out of limits."""
@@ -172,9 +153,6 @@ class KeysightSupply(RemoteInstrument):
         if isinstance(value, str):
             return {MIN: near, MAX: far, DEF: default}[value]
         return within(value, min(near, far), max(near, far))
-
-    def _select_number(self, number: float) -> None:
-        self._selected = self._outputs.names[round(within(number, 1, len(self._outputs.names))) - 1]
 
     def _condition(self, name: str) -> int:
         """Return the status bits of an output: the cause of a trip, or the regulation mode."""
@@ -184,14 +162,6 @@ class KeysightSupply(RemoteInstrument):
         if not stage.on:
             return 0
         return int(facts.LIMITING if self._outputs.shown(name).limiting else facts.REGULATING)
-
-    def _summary(self) -> str:
-        well = (0, self._facts.REGULATING)
-        questionable = any(self._condition(name) not in well for name in self._outputs.names)
-        return self.number(_QUESTIONABLE_SUMMARY if questionable else 0)
-
-    def _write_text(self, text: Value) -> None:
-        self._text = str(text)[:_DISPLAY_WIDTH]
 
 
 def shown_number(value: float) -> str:

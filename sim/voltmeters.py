@@ -31,9 +31,7 @@ class Function:
 
     `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
     the gate time in s. `keyword` is the SENSe node that sets this time, or empty. `settings_of` names another
-    function whose range and resolution this function uses. A `fixed` function has no settings. `expected`
-    bounds the expected signal in CONFigure, for functions whose range is that of the input voltage (frequency,
-    period).
+    function whose range and resolution this function uses. A `fixed` function has no settings.
     """
 
     name: str
@@ -44,7 +42,6 @@ class Function:
     keyword: str = "NPLCycles"
     settings_of: str = ""
     fixed: bool = False
-    expected: tuple[float, float] | None = None
 
     @property
     def has_nplc(self) -> bool:
@@ -64,14 +61,10 @@ class Function:
 
 @dataclass
 class FunctionSettings:
-    """Range, autorange and resolution (fraction of the range) of one function.
-
-    `expected` is the signal stated in CONFigure, for functions that have it.
-    """
+    """Range, autorange and resolution (fraction of the range) of one function."""
 
     range_value: float
     resolution: float
-    expected: float = 0.0
     autorange: bool = True
 
 
@@ -392,9 +385,6 @@ def reading_text(value: float, step: float) -> str:
 
 # --- the line ---------------------------------------------------------------------------------------
 
-VOLT_OVERLOAD: Final = 1
-"""The bit for a voltage overload in the questionable data register."""
-
 _ERRORS: Final = {522: "Output buffer overflow", 532: "Cannot achieve requested resolution"}
 _SCPI_VERSION: Final = "1994.0"
 
@@ -430,7 +420,7 @@ class LineMeter(RemoteInstrument):
             self.cycle.complete()
 
     def device_clear(self) -> None:
-        """Stop measuring and become idle; keep settings, errors and status."""
+        """Stop measuring and become idle; keep settings and errors."""
         self.cycle.abort()
 
     @property
@@ -461,8 +451,6 @@ class MeasuringCycle(ABC):
     """
 
     memory_depth: int
-    starts_itself: tuple[str, ...] = ("IMM",)
-    """The sources that trigger without a command or an external signal."""
     after_last = ""
     """What is printed after the last of several readings."""
 
@@ -485,7 +473,6 @@ class MeasuringCycle(ABC):
         self._memory: list[str] = []
         self._readings: list[str] = []
         self._finish_s = 0.0
-        self._triggers_left: float = 0
         self._keeps = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
@@ -502,12 +489,6 @@ class MeasuringCycle(ABC):
         if not self._memory:
             raise ScpiError(-230)
         return ",".join(self._memory) + self.after_last
-
-    def trigger(self, source: str) -> None:
-        """Measure on one trigger from "BUS" or "EXT". Raises `ScpiError` -211 if the meter awaits none."""
-        if self.state is not TriggerState.WAITING or self.source != source:
-            raise ScpiError(-211)
-        self._schedule(1)
 
     def complete(self) -> None:
         """Wait until the measurement in progress, if any, ends or its client leaves.
@@ -552,16 +533,14 @@ class MeasuringCycle(ABC):
         """Start a measurement; with `keeps` its readings are stored in memory."""
         self._memory, self._readings = [], []
         self._keeps = keeps
-        self._triggers_left = triggers
-        if self.source in self.starts_itself:
+        if self.source == "IMM":
             self._schedule(int(triggers))
         else:
             self.state = TriggerState.WAITING
 
-    def _measures_until(self, finish_s: float, triggers: int) -> None:
+    def _measures_until(self, finish_s: float) -> None:
         self._finish_s = finish_s
         self._beginner_left = self._sender_left
-        self._triggers_left -= triggers
         self.state = TriggerState.MEASURING
 
     def _outcome(self) -> str | None:
@@ -576,4 +555,4 @@ class MeasuringCycle(ABC):
         self._due = []
         if self._keeps:
             self._memory = self._readings[-self.memory_depth :]
-        self.state = TriggerState.WAITING if self._triggers_left > 0 else TriggerState.IDLE
+        self.state = TriggerState.IDLE

@@ -32,7 +32,8 @@ class ZaberStage(PlainDialect):
     """One Zaber device whose axis `axis` is the head; `steps_per_degree` microsteps turn it by 1°.
 
     With `homed` False the stage has just been switched on without an absolute encoder and must be homed first.
-    With `encoder` the stage detects that it is stuck (flag FS); without an encoder it only counts steps.
+    With `encoder` the stage detects that it is stuck (flag FS); without an encoder it only counts steps. It sends
+    no alerts.
     """
 
     def __init__(
@@ -62,14 +63,12 @@ class ZaberStage(PlainDialect):
         self._settings = {"comm.alert": 0, "comm.checksum": 0, "maxspeed": speed}
         self._warnings: set[str] = set() if homed else {"WR"}
         self._homing = False
-        self._alert_due = False
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "get": self._get,
             "set": self._set,
             "home": self._home,
             "move": self._move,
             "stop": self._stop,
-            "estop": self._stop,
             "warnings": self._tell_warnings,
         }
 
@@ -90,9 +89,7 @@ class ZaberStage(PlainDialect):
         device, axis, *number = (*numbers, *(0, 0)[len(numbers) :]) if len(numbers) < 2 else numbers
         if device not in (0, self._device):
             return None
-        alert = self._alert()
-        reply = self._reply(axis, number, words)
-        return (alert + reply).encode("ascii")
+        return self._reply(axis, number, words).encode("ascii")
 
     def power_cycle(self) -> None:
         """Switch off and on: the motion ends, the reference is lost; settings are kept."""
@@ -120,17 +117,8 @@ class ZaberStage(PlainDialect):
         # Status and flag are evaluated after the command, whose effect they show.
         status = "BUSY" if self._busy else "IDLE"
         shown = "".join(f" {n:02d}" for n in number)
-        return self._signed("@", f"{self._device:02d} {axis}{shown} {verdict} {status} {self._flag} {data}")
-
-    def _alert(self) -> str:
-        """Return the alert line that precedes the next reply after a movement has ended; empty if none is due."""
-        if not self._alert_due or self._busy:
-            return ""
-        self._alert_due = False
-        return self._signed("!", f"{self._device:02d} {self._axis} IDLE {self._flag}") + "\r\n"
-
-    def _signed(self, kind: str, text: str) -> str:
-        return f"{kind}{text}:{checksum(text)}" if self._settings["comm.checksum"] else f"{kind}{text}"
+        text = f"{self._device:02d} {axis}{shown} {verdict} {status} {self._flag} {data}"
+        return f"@{text}:{checksum(text)}" if self._settings["comm.checksum"] else f"@{text}"
 
     # --- state --------------------------------------------------------------------------------------
 
@@ -162,8 +150,6 @@ class ZaberStage(PlainDialect):
         name = words[0] if len(words) == 1 else ""
         if name == "pos":
             return str(self._position)
-        if name in ("limit.min", "limit.max"):
-            return str(self._limits[name == "limit.max"])
         value = self._read_only.get(name, self._settings.get(name))
         if value is None:
             raise _Rejected("BADCOMMAND")
@@ -172,21 +158,15 @@ class ZaberStage(PlainDialect):
     def _set(self, words: list[str]) -> str:
         if len(words) != 2 or words[0] not in self._settings:
             raise _Rejected("BADCOMMAND")
-        least, most = (1, MOST_STEPS) if words[0] == "maxspeed" else (0, 1)
+        least, most = {"maxspeed": (1, MOST_STEPS), "comm.alert": (0, 0)}.get(words[0], (0, 1))
         self._settings[words[0]] = _integer(words[1], least, most)
         return "0"
 
     def _move(self, words: list[str]) -> str:
-        """Start a movement: abs, rel, min or max; it interrupts a movement in progress."""
-        kind = words[0] if words else ""
-        if kind in ("min", "max") and len(words) == 1:
-            target = self._limits[kind == "max"]
-        elif kind in ("abs", "rel") and len(words) == 2:
-            origin = self._position if kind == "rel" else 0
-            lowest, highest = self._limits
-            target = origin + _integer(words[1], lowest - origin, highest - origin)
-        else:
+        """Start a movement to a position; it interrupts a movement in progress."""
+        if words[:1] != ["abs"] or len(words) != 2:
             raise _Rejected("BADCOMMAND")
+        target = _integer(words[1], *self._limits)
         if "WR" in self._warnings:
             raise _Rejected("BADDATA")
         self._begin(target)
@@ -208,7 +188,6 @@ class ZaberStage(PlainDialect):
         self._interrupt()
         self._warnings -= {"FS", "NC"}
         self._world.move_head(math.radians(target / self._steps_per_degree), self._speed_rad_s)
-        self._alert_due = bool(self._settings["comm.alert"])
 
     def _interrupt(self) -> None:
         if self._busy:

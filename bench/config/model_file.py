@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.units import QuantityKind, parse_quantity
@@ -73,15 +73,6 @@ class OpenShape(FileModel):
     times: float = Field(allow_inf_nan=False)
     u: float = Field(gt=0.0, allow_inf_nan=False)
     changes: tuple[EffectEntry, ...] = Field(min_length=1)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _as_written_before(cls, written: Any) -> Any:
-        """Accept the keys `part` and `effects` of earlier versions for `times` and `changes`."""
-        if not isinstance(written, dict) or "part" not in written:
-            return written
-        renamed = {"part": "times", "effects": "changes"}
-        return {renamed.get(key, key): value for key, value in written.items()}
 
     def applied(self, number: int) -> AppliedEffect:
         """Return the part as an effect of size `times` ± `u`; `number` numbers the parts of one effect from 1."""
@@ -174,9 +165,8 @@ def _left_open_mistakes(
     entries: Any, place: Place, installations: Collection[str]
 ) -> Iterator[tuple[Place, str]]:
     for index, entry in enumerate(entries if isinstance(entries, list) else []):
-        key = "changes" if part(entry, "changes") else "effects"
-        here: Place = (*place, index, key)
-        effects = part(entry, key)
+        here: Place = (*place, index, "changes")
+        effects = part(entry, "changes")
         wrong = list(effect_mistakes(effects, here, installations))
         yield from wrong
         if wrong or not isinstance(effects, list):

@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 VERSION: Final = "Prologix GPIB-ETHERNET Controller version 01.06.06.00"
 UNRECOGNIZED: Final = b"Unrecognized command\r"
 
-_MESSAGE_AVAILABLE: Final = 16
-_REQUESTS_SERVICE: Final = 64
 _INTERRUPTED: Final = -410
 _UNTERMINATED: Final = -420
 
@@ -99,8 +97,6 @@ class _BusDevice:
     def __init__(self, instrument: ScpiInstrument, clock: LookaheadClock) -> None:
         self.instrument = instrument
         self.dialect: Dialect = instrument
-        self.in_remote = False
-        self.locked_out = False
         self.ready_s = 0.0
         self.reply: bytes | None = None
         self._clock = clock
@@ -108,7 +104,6 @@ class _BusDevice:
 
     def listen(self, data: bytes, ended: bool) -> None:
         """Receive data; a message ends at LF or, if `ended` (EOI), at the end of the data."""
-        self.in_remote = True
         *messages, self._input = (self._input + data).split(b"\n")
         if ended and self._input:
             messages.append(self._input)
@@ -135,11 +130,6 @@ class _BusDevice:
         self._input = b""
         self._clock.return_to_present()
         self.dialect.device_clear()
-
-    def status_byte(self, now_s: float) -> int:
-        """Return the status byte, with "message available" set once the reply is ready."""
-        available = self.reply is not None and self.ready_s <= now_s
-        return self.instrument.status.status_byte | (_MESSAGE_AVAILABLE if available else 0)
 
 
 _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
@@ -177,14 +167,7 @@ class GpibAdapter(PlainDialect):
         self._interrupted: Callable[[], bool] = never
         self._commands: dict[str, Callable[[list[str]], bytes | None]] = {
             "clr": self._clear,
-            "ifc": lambda _: None,
-            "llo": lambda _: self._lock_out(),
-            "loc": lambda _: self._go_to_local(),
             "read": self._read,
-            "rst": lambda _: self.power_cycle(),
-            "spoll": self._serial_poll,
-            "srq": lambda _: self._service_requested(),
-            "trg": self._trigger,
             "ver": lambda _: self._line(self._version),
         }
 
@@ -209,10 +192,6 @@ class GpibAdapter(PlainDialect):
     def let_through(self, address: int, dialect: Dialect) -> None:
         """Route messages for the instrument at `address` through `dialect`, for example one with faults."""
         self._devices[address].dialect = dialect
-
-    def in_remote(self, address: int) -> bool:
-        """Return whether the instrument at `address` is in remote: addressed, and not sent to local since."""
-        return self._devices[address].in_remote
 
     def power_cycle(self) -> None:
         """Switch the adapter off and on; unsaved settings are lost."""
@@ -275,30 +254,6 @@ class GpibAdapter(PlainDialect):
     def _clear(self, _arguments: list[str]) -> None:
         if self._addressed is not None:
             self._addressed.clear()
-
-    def _lock_out(self) -> None:
-        if self._addressed is not None:
-            self._addressed.locked_out = True
-
-    def _go_to_local(self) -> None:
-        if self._addressed is not None:
-            self._addressed.in_remote = self._addressed.locked_out = False
-
-    def _trigger(self, arguments: list[str]) -> None:
-        """Send a group execute trigger to the given addresses, or to the current address."""
-        for address in [int(a) for a in arguments if a.isdecimal()] or [self.settings.addr]:
-            if address in self._devices:
-                self._devices[address].carry_out(b"*TRG")
-
-    def _serial_poll(self, arguments: list[str]) -> bytes | None:
-        address = int(arguments[0]) if arguments and arguments[0].isdecimal() else self.settings.addr
-        device = self._devices.get(address)
-        return None if device is None else self._line(device.status_byte(self._clock.now_s()))
-
-    def _service_requested(self) -> bytes:
-        now_s = self._clock.now_s()
-        requested = any(d.status_byte(now_s) & _REQUESTS_SERVICE for d in self._devices.values())
-        return self._line(int(requested))
 
     # --- commands -----------------------------------------------------------------------------------
 

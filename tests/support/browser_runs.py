@@ -29,13 +29,12 @@ class Begun:
         answers: str | None,
         seed: int = 3,
         more: Sequence[str] = ("--dry-run",),
-        program: str = PROGRAM,
     ) -> None:
         self.folder = runs / name
         self.name = name
         command = ["run", procedure, *more, "--seed", str(seed), "--name", name, "--runs", str(runs)]
         self.process = subprocess.Popen(  # noqa: S603 - our own program
-            [sys.executable, "-c", program, *command, *([] if answers is None else ["--answers", answers])],
+            [sys.executable, "-c", PROGRAM, *command, *([] if answers is None else ["--answers", answers])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

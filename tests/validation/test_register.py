@@ -24,7 +24,6 @@ from bench.services.requests.measuring import RunRequest
 from bench.services.validated import ACCEPTED, WITHDRAWN, Validations
 from bench.validation.records import write_files
 from bench.validation.registry import Context, carry_out, every
-from benchmarks.validation_campaign import append_for_ever
 from tests.support.commands import refused
 
 FORK = multiprocessing.get_context("fork")
@@ -79,6 +78,16 @@ def test_two_writers_and_kills_lose_nothing(tmp_path):
     with opened(Validations(folder)) as register:
         assert len(said) > 10  # an entry has about 450 bytes; of each writer one may be noted no more
         assert set(said) <= {one.number for one in register.entries}
+
+
+def append_for_ever(folder, mark):
+    """Append entries to a register of validations; note each one beside it once it is written."""
+    with folder.with_name(f"said-{mark}").open("a", encoding="utf-8") as said:
+        for number in range(1_000_000):
+            with opened(Validations(folder)) as register:
+                register.append(entry(f"{mark}-{number}"))
+            said.write(f"{mark}-{number}\n")
+            said.flush()
 
 
 def _size(folder):

@@ -164,7 +164,7 @@ def test_overload_lasts_for_one_exchange_and_shows_in_the_registers() -> None:
     assert say(meter, "*ESR?") == b"+128"
     reading = say(meter, "READ?")
     assert say(meter, "READ?") == b"+9.90000000E+37"
-    assert say(meter, "*ESR?;:STAT:QUES?;:SYST:ERR?") == b'+8;+1;+0,"No error"'
+    assert say(meter, "*ESR?;:SYST:ERR?") == b'+8;+0,"No error"'
     assert say(meter, "READ?") == reading
 
 

@@ -5,7 +5,7 @@ import pyvisa
 
 from drivers.interfaces import Channel
 from sim.wires.prologix import UNRECOGNIZED, AdapterSettings
-from tests.support.gpib_bus import ADDRESSES, IDENTITY, NO_ERROR, Bus, served
+from tests.support.gpib_bus import IDENTITY, NO_ERROR, Bus, served
 
 
 def tell(bus: Bus, *lines: str | bytes) -> list[bytes]:
@@ -16,7 +16,7 @@ def tell(bus: Bus, *lines: str | bytes) -> list[bytes]:
 def quiet_bus() -> Bus:
     bus = Bus(settings=AdapterSettings(addr=22, auto=0, eos=2))
     for meter in bus.meters.values():
-        meter.status.clear()
+        meter.events.take()
     return bus
 
 
@@ -29,8 +29,8 @@ def errors(bus: Bus, channel: Channel = "x") -> str:
 def test_settings_are_set_asked_and_bounded() -> None:
     bus = quiet_bus()
     assert tell(bus, "++read_tmo_ms 3000", "++read_tmo_ms", "++eos", "++mode") == [b"3000\r", b"2\r", b"1\r"]
-    wrong = ["++read_tmo_ms 3001", "++addr 31", "++eoi x", "++nothing"]
-    assert tell(bus, *wrong) == [UNRECOGNIZED] * 4
+    wrong = ["++read_tmo_ms 3001", "++addr 31", "++eoi x", "++nothing", "++spoll"]
+    assert tell(bus, *wrong) == [UNRECOGNIZED] * 5
     assert tell(bus, "++ver")[0].startswith(b"Prologix GPIB-ETHERNET")
 
 
@@ -39,27 +39,12 @@ def test_a_read_gives_up_after_its_timeout_and_the_reply_comes_with_a_later_one(
     tell(bus, "++read_tmo_ms 3000", "VOLT:NPLC 100", "INIT", "FETC?")
     clock = bus.world.clock
     assert clock.now_s() == 0.0
-    assert tell(bus, "++spoll", "++read eoi") == [b"0\r"]
+    assert tell(bus, "++read eoi") == []
     assert clock.now_s() == 3.0
     (reply,) = tell(bus, "++read eoi")
     assert float(reply) == pytest.approx(bus.world.signal_v("x"), abs=1e-8)
     assert clock.now_s() == pytest.approx(4.0015)
     assert errors(bus) == NO_ERROR
-
-
-def test_message_available_is_in_the_serial_poll() -> None:
-    bus = quiet_bus()
-    assert tell(bus, "++spoll", "*IDN?", "++spoll", "++read", "++spoll") == [
-        b"0\r",
-        b"16\r",
-        IDENTITY.encode(),
-        b"0\r",
-    ]
-    assert tell(bus, "*SRE 32;*ESE 32;NONSENSE", "++srq", "++spoll 22", "++spoll 23") == [
-        b"1\r",
-        b"96\r",
-        b"0\r",
-    ]
 
 
 def test_read_after_write_addresses_an_instrument_that_has_nothing_to_say() -> None:
@@ -76,39 +61,15 @@ def test_a_command_before_the_reply_was_read_interrupts_it() -> None:
 
 def test_device_clear_reaches_the_addressed_instrument_alone() -> None:
     bus = quiet_bus()
-    tell(bus, "VOLT:NPLC 100", "READ?", "++addr 23", "*IDN?", "++addr 22", "++clr", "++spoll")
+    tell(bus, "VOLT:NPLC 100", "READ?", "++addr 23", "*IDN?", "++addr 22", "++clr")
     assert tell(bus, "*IDN?", "++read eoi") == [IDENTITY.encode()]
     assert bus.world.clock.now_s() == 0.0
     assert tell(bus, "++addr 23", "++read eoi") == [IDENTITY.encode()]
 
 
-def test_group_execute_trigger_starts_all_that_are_named_together() -> None:
-    bus = quiet_bus()
-    tell(bus, "++read_tmo_ms 3000")
-    for address in ADDRESSES.values():
-        tell(bus, f"++addr {address}", "TRIG:SOUR BUS", "INIT")
-    tell(bus, "++trg 22 23 24")
-    for channel, address in ADDRESSES.items():
-        (reply,) = tell(bus, f"++addr {address}", "FETC?", "++read eoi")
-        assert float(reply) == pytest.approx(bus.world.signal_v(channel), abs=1e-8)
-    assert bus.world.clock.now_s() == pytest.approx(0.4015)
-
-
-def test_remote_and_local() -> None:
-    bus = quiet_bus()
-    assert not bus.adapter.in_remote(22)
-    tell(bus, "*CLS", "++llo")
-    assert bus.adapter.in_remote(22)
-    tell(bus, "++loc")
-    assert not bus.adapter.in_remote(22)
-    assert not bus.adapter.in_remote(23)
-
-
 def test_without_terminator_and_eoi_a_message_goes_on_in_the_next_line() -> None:
     bus = quiet_bus()
-    tell(bus, "++eos 3", "++eoi 0", "SAMP:COUN", " 5", "++eos 2", "")
-    assert tell(bus, "++spoll") == [b"0\r"]
-    tell(bus, "0")
+    tell(bus, "++eos 3", "++eoi 0", "SAMP:COUN", " 5", "++eos 2", "", "0")
     assert tell(bus, "SAMP:COUN?", "++read eoi") == [b"+50"]
 
 

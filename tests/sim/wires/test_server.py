@@ -122,8 +122,8 @@ def test_two_clients_at_once_share_one_instrument_and_keep_their_own_replies() -
 def test_control_c_is_device_clear() -> None:
     with one_meter() as (_, client):
         client.write(b"TRIG:SOUR BUS;:INIT\n")
-        client.write(b"\x03*TRG\n")
-        assert client.ask(b"SYST:ERR?\n") == b'-211,"Trigger ignored"\n'
+        client.write(b"\x03INIT\n")
+        assert client.ask(b"SYST:ERR?\n") == b'+0,"No error"\n'
 
 
 def test_a_client_that_leaves_in_mid_message_harms_nobody() -> None:
