@@ -216,9 +216,9 @@ def spoil_record(rng: random.Random, folder: Path) -> str:
 _SCPI: Final = (
     "*IDN?", "*RST", "*CLS", "*TST?", "*STB?", "*ESR?", "SYST:ERR?", "READ?", "INIT", "FETC?",
     "CONF:VOLT:DC", "VOLT:DC:RANG", "VOLT:DC:NPLC",
-    "SAMP:COUN", "TRIG:SOUR", "TRIG:COUN", "TRIG:DEL", "ZERO:AUTO", "CALC:FUNC", "ROUT:CHAN:DEL",
+    "SAMP:COUN", "TRIG:SOUR", "TRIG:COUN", "TRIG:DEL", "ZERO:AUTO", "FORM:READ:TIME", "ROUT:CHAN:DEL",
     "ROUT:SCAN", "MEAS:VOLT:DC?", "DATA:POIN?",
-    "R?", "ABOR", "*TRG", "DISP:TEXT", "SYST:LOC", "UNIT:TEMP", "STAT:QUES:ENAB", "SENS:VOLT:NPLC",
+    "R?", "ABOR", "TRAC:FEED:CONT", "DISP:TEXT", "SYST:LOC", "UNIT:TEMP", "SENS:VOLT:NPLC",
     "TRAC:POIN", "TRAC:DATA?", "INP:IMP:AUTO",
 )  # fmt: skip
 _PARAMETERS: Final = (

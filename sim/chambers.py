@@ -237,9 +237,6 @@ class WatlowF4T(ScpiInstrument):
     def _common_commands(self) -> list[Command]:
         return [Command("*IDN?", lambda: self.identity)]
 
-    def _status_commands(self) -> list[Command]:
-        return []
-
     def _loop_commands(self, loop: str, output: str) -> list[Command]:
         return [
             Command(f"{loop}:PVALue?", lambda: self._shown(self._world.chamber_c)),

@@ -253,6 +253,7 @@ class Keithley2000(ScpiInstrument):
         return [
             *switch_lines("SYSTem:AZERo:STATe", lambda: self.buffer.measuring, "autozero"),
             Command("SYSTem:REMote", lambda: None),
+            Command("SYSTem:LOCal", lambda: None),
             Command("FORMat[:DATA]", lambda _: None, (Choice(("ASCii",)),)),
             Command("FORMat[:DATA]?", lambda: "ASC"),
             Command("FORMat:ELEMents", lambda _: None, (Choice(("READing",)),)),

@@ -96,7 +96,7 @@ class Keysight34970A(LineMeter):
             for number in numbers
         }
         self.scan = Scan(clock, self._channels, inputs, self.device_clear_pending)
-        for lines in (self.scan.commands(), self._measure_commands(), self._sense_commands()):
+        for lines in (self.scan.commands(), self._configure_commands(), self._sense_commands()):
             self.add(lines)
         self.add(self._system_commands())
 
@@ -120,7 +120,7 @@ class Keysight34970A(LineMeter):
 
     # --- CONFigure ----------------------------------------------------------------------------------
 
-    def _measure_commands(self) -> list[Command]:
+    def _configure_commands(self) -> list[Command]:
         words = Number("V", (MIN, MAX, DEF))
         parameters = (ChannelList(words), ChannelList(words, optional=True), ChannelList(optional=True))
         return [

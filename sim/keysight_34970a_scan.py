@@ -278,7 +278,7 @@ class Scan(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set the defaults of *RST, CONFigure and MEASure: one immediate sweep, readings without other fields."""
+        """Set the defaults of *RST and CONFigure: one immediate sweep, readings without other fields."""
         self.source = "IMM"
         self.count: float = 1
         self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)

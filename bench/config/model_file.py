@@ -324,7 +324,7 @@ class _Dumper(yaml.SafeDumper):
     def represent_mapping(self, tag: str, mapping: Any, flow_style: bool | None = None) -> yaml.MappingNode:
         node = super().represent_mapping(tag, mapping, flow_style)
         for key, value in node.value:
-            if key.value == "changes":
+            if key.value == "changes" and isinstance(value, yaml.SequenceNode):
                 for change in value.value:
                     change.flow_style = True
         return node

@@ -337,13 +337,10 @@ def _add_effect(collector: Collector, effect: Effect, mount_sets: MountSets, *, 
 
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     if effect.per_pass:
-        in_spells = list(spells(linear.readings, lasting=effect.outlasts_mount))
-        if effect.outlasts_mount and effect.stage in (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING):
-            # the coefficients absorb a change of the whole run; let them be those before a step, not after it
-            first = str(linear.conditions.mounts[0])
-            before = ((first,), (pass_label(first, int(linear.readings.pass_number[0])),))
-            in_spells = [one for one in in_spells if one not in before]
-        yield from ((spell,) for spell in in_spells)
+        of_signals = effect.stage in (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
+        twice = _twins(linear) if effect.outlasts_mount and of_signals else ()
+        in_spells = spells(linear.readings, lasting=effect.outlasts_mount)
+        yield from ((spell,) for spell in in_spells if spell not in twice)
         return
     if not effect.per_mount:
         yield ((),)
@@ -357,6 +354,21 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
     if len(labels) > 1:
         yield (tuple(labels),)
         yield tuple((label,) for label in labels)
+
+
+def _twins(linear: LinearSystem) -> tuple[tuple[str, ...], ...]:
+    """Return the first pass and the first mounting, whose change of signals is one of all later readings, too.
+
+    The coefficients absorb the difference. With the later one they are those before a step. Neither is returned
+    if the sets of later readings are not complete: with verification points at first, or other positions later.
+    """
+    readings, conditions = linear.readings, linear.conditions
+    known = ~np.isin(readings.installation, list(UNORIENTED))
+    start = int(np.argmax(known))
+    if not known[start:].all() or readings.installation[start] == VERIFICATION:
+        return ()
+    first = str(conditions.mounts[conditions.mount[start]])
+    return (first,), (pass_label(first, int(readings.pass_number[start])),)
 
 
 def _add_form(

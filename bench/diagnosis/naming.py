@@ -218,9 +218,19 @@ def name(
     )
 
 
-def named_again(whitened: Whitened, data: Data, threshold: Threshold, found: Sequence[FoundEffect]) -> Naming:
-    """Return these finds, each replaced by an effect that fits better beside the others, with their odds."""
-    return name(whitened, data, threshold, 0, _re_examine(whitened, data, list(found)))
+def named_again(
+    whitened: Whitened,
+    data: Data,
+    threshold: Threshold,
+    found: Sequence[FoundEffect],
+    among: Among | None = None,
+    kept: int = 0,
+) -> Naming:
+    """Return the finds with their odds, after replacing each by the effect that fits best beside the others.
+
+    The first `kept` are not replaced. Only families of `among` (None: all) replace a find.
+    """
+    return name(whitened, data, threshold, 0, _re_examine(whitened, data, list(found), among, kept))
 
 
 def find(

@@ -176,7 +176,10 @@ def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[Fou
     ]
     if weak:
         others = [one for one in naming.found if one not in weak]
-        naming = named_again(prepared.whitened, prepared.data, prepared.limit, others)
+        left_out = {one.variant.family for one in weak}
+        naming = named_again(
+            prepared.whitened, prepared.data, prepared.limit, others, lambda family: family not in left_out
+        )
         estimated = _estimated(prepared, naming)
     return estimated, weak
 

@@ -29,7 +29,7 @@ CREEPS_MIN: Final = (1, 4, 16)
 LEVELS: Final = (-0.8, -0.6, -0.4, -0.2, -0.05, 0.05, 0.2, 0.4, 0.6, 0.8)
 """Specific forces, g, at which a step is tried: every 0.2 g, and close to zero."""
 FORCE_STEPS: Final = tuple(f"(a {'<' if level < 0.0 else '>'} {level:g})" for level in LEVELS)
-"""Steps at these levels, zero at no force, so that the bias stays the signal at no force."""
+"""Steps at these levels. They are zero at no force, so the bias stays the signal at no force."""
 
 
 @dataclass(frozen=True)

@@ -264,7 +264,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
     if all(one.variant in before for one in kept):
         # the finds left out stand for parts of other shapes, without which the odds would be those of a misfit
         return Naming(tuple(before[one.variant] for one in kept), naming.left)
-    return named_again(prepared.whitened, prepared.data, prepared.limit, kept)
+    return named_again(prepared.whitened, prepared.data, prepared.limit, kept, kept=1)
 
 
 def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:

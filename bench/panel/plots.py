@@ -145,6 +145,7 @@ def _diagnosis(told: Mapping[str, Any]) -> Numbers:
     return {
         "verdict": str(told["verdict"]),
         "residuals": told.get("residuals"),
+        "older": bool(shown) and told.get("residuals") is None,
         "delta_g": delta_g if any(delta_g.values()) else None,
         "held_out": [{name: fold[name] for name in ("what", "before", "after")} for fold in folds],
         "ranking": [

@@ -144,6 +144,13 @@ def test_a_model_file_carries_the_formula_it_rests_on(tmp_path):
         assert "differ" in mistakes(tmp_path, path.read_text(encoding="utf-8"), load_model)[0][2]
 
 
+def test_a_parameter_may_be_called_as_a_key_of_model_files(tmp_path):
+    (effect,) = load_effects(write(tmp_path, HEAD + ENTRY.replace("turns", "changes")))
+    values = {"A": np.full(3, 1e-5), "changes": np.asarray(2 * np.pi)}
+    write_model_file(tmp_path / "model.yaml", "found", [AppliedEffect(effect, values)])
+    assert load_model(tmp_path / "model.yaml").applied_effects()[0].effect == effect
+
+
 def test_a_bench_file_has_formulas_of_its_own(tmp_path):
     shipped = find_bench("paper-stand").read_text(encoding="utf-8")
     effects = "effects:\n  - {name: settling, channels: [x], parameters: {A: 30 ug}}\n"

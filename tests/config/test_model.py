@@ -232,7 +232,8 @@ def test_what_is_open_of_a_shape_is_told_with_its_sizes(tmp_path):
         "what warm_up may be besides, larger or smaller all at once: "
         "with tau 20 min: A in x 20 ± 40 ug; with tau 10 min: A in x -30 ± 60 ug"
     )
-    assert "part" not in path.read_text(encoding="utf-8")
+    lines = path.read_text(encoding="utf-8").splitlines()
+    assert sum(line.startswith("  - {name: warm_up, ") for line in lines) == 2
     conditions = Conditions.of(["1"] * 3, np.zeros(3), time_s=[0.0, 600.0, 3600.0])
     seen = Seen(np.zeros((3, 3)), conditions, Block(-2.0 * np.eye(3), np.zeros(3)))
     t = conditions.time_s / 60.0

@@ -7,7 +7,7 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
-from bench.diagnosis.candidates import spells
+from bench.diagnosis.candidates import make_candidates, spells
 from bench.diagnosis.evidence import (
     FALSE_ALARMS,
     Search,
@@ -16,11 +16,13 @@ from bench.diagnosis.evidence import (
     null_responses,
     total_evidence,
 )
+from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import ALIAS, Scored, in_place, named_again, needed
 from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, noise_findings
 from bench.diagnosis.posterior import NoiseSize
 from bench.model import CATALOGUE, AppliedEffect
-from bench.validation.paper_bench import K
+from bench.readings.table import FREE, SHORTED
+from bench.validation.paper_bench import STAND_U, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 
 NULLS = 400
@@ -289,6 +291,31 @@ def test_spells_are_named_once():
         ("1 pass 2", "1 pass 3", "2", "V"), ("1 pass 3", "2", "V"), ("2", "V"),
         ("2 pass 2", "2 pass 3", "V"), ("2 pass 3", "V"), ("V",),
     ]  # fmt: skip
+
+
+def gain_spells(readings):
+    """The passes and mountings in which the gain of a channel may have made a step."""
+    linear = make_linear(readings, MODEL, STAND_U)
+    candidates = make_candidates(linear, NOISE_V)
+    return {one.mounts for one in candidates.variants if one.family == "scale_step"}
+
+
+@pytest.mark.parametrize("first", ["1", SHORTED])
+def test_a_step_of_the_gain_is_one_of_the_later_readings(first):
+    """The coefficients absorb whether it is before or after, also if a shorted input is read at first."""
+    run = paper_run(None)
+    run = replace(run, installation=np.where(np.arange(len(run)) == 0, first, run.installation))
+    found = gain_spells(run)
+    assert {("2", "V"), ("1 pass 2", "1 pass 3", "2", "V")} <= found
+    assert not {("1",), ("1 pass 1",)} & found
+
+
+def test_a_step_before_free_positions_is_one_of_the_first_mounting():
+    """No set of later passes holds the free positions, which the step changes, too."""
+    run = paper_run(None)
+    assert ("1",) in gain_spells(
+        replace(run, installation=np.where(run.installation == "V", FREE, run.installation))
+    )
 
 
 def test_a_second_visit_is_a_spell_of_its_own():

@@ -173,4 +173,5 @@ def test_a_diagnosis_without_residuals_is_plotted_as_far_as_it_goes(runs):
     file.write_text(json.dumps(result))
     told = plots_of(Run(runs / "later"), RunsFolder(runs))
     assert told["diagnosis"]["residuals"] is None
+    assert told["diagnosis"]["older"]
     assert told["diagnosis"]["delta_g"]["after"]

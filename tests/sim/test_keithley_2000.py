@@ -79,3 +79,4 @@ def test_over_rs232_lines_end_as_it_is_set(world: World, line_end: str) -> None:
     meter = Keithley2000(world.terminals("x"), world.clock, interface="rs232", line_end=line_end)
     assert meter.line_ends.reply == line_end.encode()
     assert line_end.encode() in meter.line_ends.messages
+    assert tell(meter, ":SYST:REM;:SYST:LOC;:SYST:ERR?") == '0,"No error"'
