@@ -344,7 +344,7 @@ def what_in_words(diagnosis: Diagnosis) -> str:
             )
             return message(f"{found}; corrected copy: {_of_copy_in_words(diagnosis)}")
         case "named" | "confounded":
-            return ", ".join(map(named_in_words, effects))
+            return "; ".join(map(named_in_words, effects))
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
 
 
