@@ -357,10 +357,11 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _twins(linear: LinearSystem) -> tuple[tuple[str, ...], ...]:
-    """Return the first pass and the first mounting, whose change of signals is one of all later readings, too.
+    """Return the first mounting and its first pass, in which a change looks like one in all later readings.
 
-    The coefficients absorb the difference. With the later one they are those before a step. Neither is returned
-    if the sets of later readings are not complete: with verification points at first, or other positions later.
+    The coefficients absorb the difference; with the change in the later readings, they hold before the step. The
+    result is empty if `spells` has no set of all later readings: if verification points come first, or inputs or
+    free positions later.
     """
     readings, conditions = linear.readings, linear.conditions
     known = ~np.isin(readings.installation, list(UNORIENTED))

@@ -269,8 +269,8 @@ def _re_examine(
     whitened: Whitened,
     data: Data,
     found: list[FoundEffect],
-    among: Among | None = None,
-    kept: int = 0,
+    among: Among | None,
+    kept: int,
 ) -> list[FoundEffect]:
     """Test each find after the first `kept` again, given all others: another effect may now fit better."""
     for _ in range(2):
