@@ -237,13 +237,13 @@ class LinearSystem:
         return self.view.stages(replace(self.model, effects=()), self.block)
 
     def stage_columns(
-        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
+        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
         """Return the linearised changes of the rows by an effect (k = 1) or k time courses (n, k) at one stage.
 
         At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At
-        the output of the block, a course is in g or, with `of_force`, a fraction of the specific force; in the
-        voltmeter, it is in the unit of the signal; the result is (N, k, 3), by channel. An effect must act in
+        the output of the block, a course is in g or, `in_proportion`, a fraction of the specific force; in the
+        voltmeter, it is in the unit of the signal or a fraction of it; the result is (N, k, 3), by channel. An effect must act in
         block or voltmeter, and must not depend on the path of the head.
         """
         force, by_angle = self._stand
@@ -258,7 +258,9 @@ class LinearSystem:
         else:
             change = np.repeat(of[:, None], 3, axis=1)
             if of_block:
-                change = change * np.diag(self.block.K)[:, None] * (force[..., None] if of_force else 1.0)
+                change = change * np.diag(self.block.K)[:, None]
+            if in_proportion:
+                change = change * (force if of_block else self._still.readings)[..., None]
         if of_block:
             change = np.where(np.isnan(self.view.voltage_v)[..., None], change, 0.0)
         return self.view.rows_of(change[..., None] * np.eye(3)[:, None])

@@ -68,7 +68,7 @@ class JointSystem(LinearSystem):
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def stage_columns(
-        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, of_force: bool = False
+        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
         """Return the result of `LinearSystem.stage_columns` for an effect or course of all blocks alike."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
@@ -78,7 +78,7 @@ class JointSystem(LinearSystem):
         ]
         return np.concatenate(
             [
-                part.stage_columns(mine, stage, adds_to, of_force=of_force)
+                part.stage_columns(mine, stage, adds_to, in_proportion=in_proportion)
                 for mine, part in zip(own, self.parts, strict=True)
             ]
         )

@@ -81,7 +81,7 @@ class DictionaryTerm:
     """A term of the dictionary: formulas, each with a size in `unit`, added at one stage of the model.
 
     `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for
-    powers and products; with `of_force`, the course changes the scale factor, not the bias.
+    powers and products; `in_proportion`, the course changes the scale factor or the gain, not the zero.
     """
 
     family: str
@@ -91,7 +91,7 @@ class DictionaryTerm:
     adds_to: str = ""
     constants: tuple[Parameter, ...] = ()
     course: TimeCourse | None = None
-    of_force: bool = False
+    in_proportion: bool = False
 
     @property
     def where(self) -> str:
@@ -172,11 +172,11 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
         if term.course not in of_courses:
             of_courses[term.course] = values_of(term.course)
         added = [(number, term.unit.plausible * course) for course in of_courses[term.course]]
-        places.setdefault((term.stage, term.adds_to, term.of_force), []).extend(added)
-    for (stage, adds_to, of_force), added in places.items():
+        places.setdefault((term.stage, term.adds_to, term.in_proportion), []).extend(added)
+    for (stage, adds_to, in_proportion), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
-            changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, of_force=of_force)
+            changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, in_proportion=in_proportion)
             for number, size in zip(numbers, _each_size(changes.transpose(1, 2, 0).copy()), strict=True):
                 columns[number].append(size)
     return columns
@@ -222,7 +222,7 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
     for course in courses:
         yield _of_course(course, "the bias", Stage.BLOCK_OUTPUT, BIAS)
         if course.long:
-            yield _of_course(course, "the scale factor", Stage.BLOCK_OUTPUT, SCALE, of_force=True)
+            yield _of_course(course, "the scale factor", Stage.BLOCK_OUTPUT, SCALE, in_proportion=True)
         yield _of_course(course, "the head's angle", Stage.HEAD_ANGLE, ANGLE)
         # a platform does not turn or roll with the head's angle
         for angle, what in STAND_WORDS.items():
@@ -236,21 +236,21 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
 
 
 def _of_course(
-    course: TimeCourse, place: str, stage: Stage, unit: TermUnit, adds_to: str = "", *, of_force: bool = False
+    course: TimeCourse, place: str, stage: Stage, unit: TermUnit, adds_to: str = "", *, in_proportion: bool = False
 ) -> DictionaryTerm:
     """Return the term of a course at a stage; `place` says in words where it acts."""
-    texts = course.expressions
+    texts, signal = course.expressions, "U" if stage is Stage.VOLTMETER_READING else "a"
     if course.of_temperature:
         unit = TermUnit(f"{unit.text}/K", unit.si, unit.plausible_per_k)
     return DictionaryTerm(
         f"{course.words}, in {place}",
         stage,
-        tuple(f"a * ({text})" for text in texts) if of_force else texts,
+        tuple(f"{signal} * ({text})" for text in texts) if in_proportion else texts,
         unit,
         adds_to,
         course.constants,
         course,
-        of_force=of_force,
+        in_proportion=in_proportion,
     )
 
 
@@ -272,7 +272,11 @@ FORCES: Final[dict[str, tuple[str, ...]]] = {
 
 def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
     stage = Stage.VOLTMETER_READING
-    yield from (_of_course(course, "the voltage", stage, VOLTS) for course in courses if course.long)
+    for course in courses:
+        if course.long:
+            yield _of_course(course, "the voltage", stage, VOLTS)
+        if course.long and course.where:
+            yield _of_course(course, "the gain of the voltmeter", stage, GAIN, in_proportion=True)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
         yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
     yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
