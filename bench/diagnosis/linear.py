@@ -243,8 +243,8 @@ class LinearSystem:
 
         At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At
         the output of the block, a course is in g or, `in_proportion`, a fraction of the specific force; in the
-        voltmeter, it is in the unit of the signal or a fraction of it; the result is (N, k, 3), by channel. An effect must act in
-        block or voltmeter, and must not depend on the path of the head.
+        voltmeter, it is in the unit of the signal or a fraction of it; the result is (N, k, 3), by channel. An
+        effect must act in block or voltmeter, and must not depend on the path of the head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):

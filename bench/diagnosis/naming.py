@@ -13,7 +13,7 @@ from scipy.special import logsumexp, softmax
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, FARTHEST, HARDLY_EVER, INSEPARABLE, NEGLIGIBLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
@@ -139,16 +139,17 @@ class Scored:
 
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the largest evidence."""
-        evidence = self._forms(family)
+        evidence = self.forms(family)
         return self.search.whitened.candidates.variants[max(evidence, key=evidence.__getitem__)]
 
-    def _forms(self, family: str) -> dict[int, float]:
+    def forms(self, family: str) -> dict[int, float]:
+        """Return ln of the evidence of each form of a family, by index in `Candidates.variants`."""
         of_family = self.search.whitened.candidates.of_family(family)
         return {i: float(self.scores.variants[i, 0]) for i in of_family}
 
     def _best_variant(self, family: str) -> Variant:
         variants = self.search.whitened.candidates.variants
-        evidence = self._forms(family)
+        evidence = self.forms(family)
         best = max(evidence, key=lambda i: evidence[i])
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
         share = np.exp(np.array(list(evidence.values())) - evidence[best])
@@ -374,6 +375,28 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
+
+
+def in_their_place(whitened: Whitened, data: Data, naming: Naming) -> Floats:
+    """Return the changes (N, k) of the rows by forms in place of the finds, times the root of their probability.
+
+    They are all forms of at least `HARDLY_EVER`, except other shapes of an effect of the catalogue: those are
+    parts of the model (`beside`).
+    """
+    candidates, columns = whitened.candidates, [np.zeros((len(whitened.candidates.columns), 0))]
+    for i, one in enumerate(naming.found):
+        scored = Scored.beside(whitened, data, _columns(naming.found, but=i))
+        for odds in one.odds:
+            name, probability = odds.name, odds.probability
+            if probability < HARDLY_EVER or (one.variant.named and name == one.variant.family):
+                continue
+            forms = scored.forms(name)
+            for number, share in zip(forms, softmax([*forms.values()]).tolist(), strict=True):
+                variant = candidates.variants[number]
+                if probability * share >= HARDLY_EVER and (variant != one.variant or not variant.term):
+                    change = candidates.columns[:, list(variant.columns)] @ scored.amplitude(variant)[0]
+                    columns.append(np.sqrt(probability * share) * change[:, None])
+    return np.concatenate(columns, axis=1)
 
 
 def same_signature(naming: Naming) -> Iterator[str]:

@@ -25,6 +25,7 @@ from bench.diagnosis.naming import (
     Naming,
     Scored,
     find,
+    in_their_place,
     name,
     named_again,
     same_signature,
@@ -521,25 +522,23 @@ def diagnose_fully(
 def _shown(
     diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
 ) -> Iterator[ModelComparison]:
-    readings = diagnosis.mistakes.corrected
+    readings, linear = diagnosis.mistakes.corrected, diagnosis.linear
+    slow = _signals(linear, linear.random[:, linear.random.shape[1] - linear.of_noise :])
+    in_place = _signals(linear, in_their_place(diagnosis.whitened, diagnosis.data, diagnosis.naming))
     if readings.block is None:
-        yield show(
-            readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, _slow(diagnosis.linear)
-        )
+        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, slow, in_place)
         return
     for number in np.unique(readings.block):
-        own = readings.select(readings.block == number)
+        chosen = readings.block == number
+        own = readings.select(chosen)
         mounts = {str(mount) for mount in own.conditions().mounts}
         applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
-        yield show(own, model, tuple(applied), stand_u, g_m_s2)
+        yield show(own, model, tuple(applied), stand_u, g_m_s2, in_place=in_place[chosen])
 
 
-def _slow(linear: LinearSystem) -> Floats | None:
-    """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
-    if not (linear.slow_channels or linear.slow_reference):
-        return None
+def _signals(linear: LinearSystem, columns: Floats) -> Floats:
+    """Return changes of the rows, (N, k), as changes of the signals, (n, 3, k)."""
     rows, own = linear.rows, linear.setting >= 0
-    signals = np.zeros((len(linear.readings), 3, linear.of_noise))
-    of_noise = linear.random[own, linear.random.shape[1] - linear.of_noise :]
-    signals[rows.reading[own], rows.channel[own]] = of_noise
+    signals = np.zeros((len(linear.readings), 3, columns.shape[1]))
+    signals[rows.reading[own], rows.channel[own]] = columns[own]
     return signals

@@ -176,7 +176,9 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
     for (stage, adds_to, in_proportion), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
-            changes = linear.stage_columns(np.stack(courses, axis=1), stage, adds_to, in_proportion=in_proportion)
+            changes = linear.stage_columns(
+                np.stack(courses, axis=1), stage, adds_to, in_proportion=in_proportion
+            )
             for number, size in zip(numbers, _each_size(changes.transpose(1, 2, 0).copy()), strict=True):
                 columns[number].append(size)
     return columns
@@ -236,7 +238,13 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
 
 
 def _of_course(
-    course: TimeCourse, place: str, stage: Stage, unit: TermUnit, adds_to: str = "", *, in_proportion: bool = False
+    course: TimeCourse,
+    place: str,
+    stage: Stage,
+    unit: TermUnit,
+    adds_to: str = "",
+    *,
+    in_proportion: bool = False,
 ) -> DictionaryTerm:
     """Return the term of a course at a stage; `place` says in words where it acts."""
     texts, signal = course.expressions, "U" if stage is Stage.VOLTMETER_READING else "a"
