@@ -380,22 +380,21 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
 def in_their_place(whitened: Whitened, data: Data, naming: Naming) -> Floats:
     """Return the changes (N, k) of the rows by forms in place of the finds, times the root of their probability.
 
-    They are all forms of at least `HARDLY_EVER`, except other shapes of an effect of the catalogue: those are
-    parts of the model (`beside`).
+    They are the forms of each find's ties and, if it has no name, the other forms of its family. Other shapes of
+    an effect of the catalogue are parts of the model (`beside`). Forms below `HARDLY_EVER` are left out.
     """
     candidates, columns = whitened.candidates, [np.zeros((len(whitened.candidates.columns), 0))]
     for i, one in enumerate(naming.found):
         scored = Scored.beside(whitened, data, _columns(naming.found, but=i))
-        for odds in one.odds:
-            name, probability = odds.name, odds.probability
-            if probability < HARDLY_EVER or (one.variant.named and name == one.variant.family):
-                continue
-            forms = scored.forms(name)
-            for number, share in zip(forms, softmax([*forms.values()]).tolist(), strict=True):
+        own = () if one.variant.named else (one.variant.family,)
+        for odds in (odds for odds in one.odds if odds.name in (*one.ties, *own)):
+            forms = scored.forms(odds.name)
+            shares = odds.probability * softmax([*forms.values()])
+            for number, share in zip(forms, shares.tolist(), strict=True):
                 variant = candidates.variants[number]
-                if probability * share >= HARDLY_EVER and (variant != one.variant or not variant.term):
+                if share >= HARDLY_EVER and (variant != one.variant or not variant.term):
                     change = candidates.columns[:, list(variant.columns)] @ scored.amplitude(variant)[0]
-                    columns.append(np.sqrt(probability * share) * change[:, None])
+                    columns.append(np.sqrt(share) * change[:, None])
     return np.concatenate(columns, axis=1)
 
 

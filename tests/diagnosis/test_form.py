@@ -10,7 +10,9 @@ import pytest
 from bench.config.formulas import effects_as_written, written_formulas
 from bench.diagnosis import diagnose
 from bench.diagnosis.candidates import make_candidates, with_terms, without_copies
+from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.linear import make_linear
+from bench.diagnosis.naming import Scored
 from bench.diagnosis.noise_grid import Repeats, make_whitener
 from bench.diagnosis.noise_kinds import larger_scatter
 from bench.diagnosis.pipeline import values_of
@@ -21,7 +23,15 @@ from bench.model import Stage
 from bench.model.effects.formula import ValueReading, interpret
 from bench.results.diagnosis_parts import form_part
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, K
-from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, columns_by_model, paper_run
+from tests.support.diagnosis_bench import (
+    MODEL,
+    NOISE_V,
+    STAND,
+    OneThreshold,
+    columns_by_model,
+    paper_run,
+    set_up,
+)
 
 
 def with_added(readings, volts):
@@ -76,6 +86,18 @@ def test_its_columns_are_differences_of_the_forward_model(terms):
         for column, added in columns_by_model(listed[number], linear):
             atol = 2e-4 * float(np.max(np.abs(added))) if turned else 1e-15
             np.testing.assert_allclose(column, added, rtol=1e-7, atol=atol)
+
+
+@pytest.mark.slow
+def test_the_gain_of_one_pass_is_no_exchange_of_meters(run):
+    """What one channel reads, its zero included, grows by 1e-4 in a pass."""
+    chosen = (run.installation == "1") & (run.pass_number == 3)
+    one = set_up(with_added(run, 1e-4 * run.signal * np.outer(chosen, [0, 0, 1])))
+    whitened = Whitened.of(one.grid, with_terms(one.candidates, one.linear))
+    scored = Scored.beside(whitened, whitened.reduce(one.linear.response[:, None]), ())
+    best = scored.best().variant
+    assert (best.family, best.channels) == ("one pass of one mounting, in the gain of the voltmeter", (2,))
+    assert scored.log_odds[best.family] > scored.log_odds["meters_exchanged"] + 3.0
 
 
 @pytest.mark.slow

@@ -8,8 +8,10 @@ import pytest
 from bench.base.files import cache_folder
 from bench.calibration import calibrate
 from bench.calibration.verification import verify
+from bench.config.bench_file.file import load_bench
+from bench.config.shipped import find_bench
 from bench.diagnosis import ThresholdCache, diagnose
-from bench.diagnosis.pipeline import rivals
+from bench.diagnosis.pipeline import diagnose_fully, rivals
 from bench.diagnosis.show import label, show
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.validation.paper_bench import STAND_U
@@ -130,3 +132,34 @@ def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does():
     shift = (instead.block.vector - named.block.vector) / named.u
     # calibrate has the noise of the repeats, the diagnosis that of all residuals: alike to some 15 %
     assert np.allclose(by_name["scale_asymmetry"].shift, shift, atol=0.3 + 0.2 * np.max(np.abs(shift)))
+
+
+@pytest.mark.slow
+def test_u_with_a_find_includes_what_calibrations_with_its_ties_give():
+    readings = paper_run(np.random.default_rng(7), K2=(0.0, 3e-5, 0.0), verification=False)
+    diagnosis = diagnose_fully(
+        readings,
+        MODEL,
+        load_bench(find_bench("paper-stand")),
+        G,
+        ThresholdCache(cache_folder("thresholds")),
+        source="",
+        simulated=True,
+    )
+    after = diagnosis.shown.last.calibration
+    (effect,) = diagnosis.diagnosis.effects
+    assert effect.name == "quadratic_nonlinearity"
+    odds = {one.name: one.probability for one in effect.odds}
+    named, absolute, product = (
+        calibrate(readings, ForwardModel(MODEL.installations, (one,)), STAND_U, G, find_shared=False)
+        for one in (
+            quadratic(),
+            AppliedEffect(CATALOGUE["scale_asymmetry"], {"Kabs": np.zeros(3)}, ("y",)),
+            AppliedEffect(CATALOGUE["cross_quadratic"], {"Kpp": np.zeros(3), "Koo": np.zeros(3)}, ("y",)),
+        )
+    )
+    # the bias of y; thermal_nonlinearity changes it alike, and two sizes of the noise differ by some 15 %
+    of_absolute, of_product = (one.block.vector[10] - named.block.vector[10] for one in (absolute, product))
+    by_names = odds["scale_asymmetry"] * of_absolute**2 + odds["cross_quadratic"] * of_product**2
+    assert by_names > 0.7 * named.u[10] ** 2
+    assert after.u[10] == pytest.approx(np.sqrt(named.u[10] ** 2 + by_names), rel=0.15)
