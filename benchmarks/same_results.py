@@ -8,10 +8,10 @@
 `store` makes seeded dry runs and stores the JSON, pages, records, readings and draft certificates of every
 command that evaluates them. It calls the program as a user does, so that it can store what an older version
 gives. `compare` requires that JSON and XML have the same members, texts and integers, and that numbers agree
-to 1e-9 of the largest number in the same list. Of pages it compares the numbers of the text and the plotted
-data. Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED` lists the
-members whose values are not compared. The exit status is 1 if anything differs. `schemas` requires that this
-version's JSON schemas have every member of the schemas in a folder, and lists new members.
+to 1e-9 (`--within`) of the largest number in the same list. Of pages it compares the numbers of the text and
+the plotted data. Texts that differ in words alone are listed as reworded, which is no difference. `IGNORED`
+lists the members whose values are not compared. The exit status is 1 if anything differs. `schemas` requires
+that this version's JSON schemas have every member of the schemas in a folder, and lists new members.
 """
 
 import csv
@@ -28,7 +28,6 @@ from xml.etree import ElementTree
 
 from benchmarks.campaign import amiss, arguments, refuse
 
-RELATIVE: Final = 1e-9
 PROCEDURES: Final = ("paper", "quick", "calibration", "paper", "turn-12", "remount-180")
 COMMANDS: Final = {
     "calibrate": "calibrate r", "calibrate-closed-form": "calibrate r --estimator closed-form",
@@ -85,15 +84,16 @@ def _call(program: str, place: Path, name: str, words: str) -> None:
 
 
 class Differences:
-    """Lines on differences, and on texts that are only reworded."""
+    """Lines on differences, and on texts that are only reworded; numbers may differ by the fraction `within`."""
 
-    def __init__(self) -> None:
+    def __init__(self, within: float = 1e-9) -> None:
+        self.within = within
         self.different: list[str] = []
         self.reworded: list[str] = []
         self.files = 0
 
     def values(self, where: str, one: Any, other: Any, scale: float = 0.0) -> None:
-        """Compare two JSON values; numbers in a list must agree to `RELATIVE` of its largest number."""
+        """Compare two JSON values; numbers in a list must agree to `within` of its largest number."""
         if any(re.search(pattern, where) for pattern in IGNORED) and (one is None) == (other is None):
             return
         match one, other:
@@ -109,7 +109,7 @@ class Differences:
                 for index, pair in enumerate(zip(one, other, strict=False)):
                     self.values(f"{where}[{index}]", *pair, scale=max(scale, largest))
             case float(), float():
-                if not math.isclose(one, other, rel_tol=RELATIVE, abs_tol=RELATIVE * scale):
+                if not math.isclose(one, other, rel_tol=self.within, abs_tol=self.within * scale):
                     self.different.append(f"{where}: {one!r} and {other!r}")
             case str(), str():
                 self.text(where, one, other)
@@ -124,10 +124,13 @@ class Differences:
             return
         mine, theirs = ([_number(found) for found in _NUMBER.findall(text)] for text in (one, other))
         sentence = " " in one.strip() and " " in other.strip()
-        if sentence and len(mine) == len(theirs) and all(map(_near, mine, theirs)):
+        if sentence and len(mine) == len(theirs) and all(map(self._near, mine, theirs)):
             self.reworded.append(f"{where}: {one[:100]!r} is {other[:100]!r}")
         else:
             self.different.append(f"{where}: {one[:100]!r} and {other[:100]!r}")
+
+    def _near(self, one: float, other: float) -> bool:
+        return math.isclose(one, other, rel_tol=self.within, abs_tol=1e-300)
 
 
 def _floats(value: Any) -> Iterator[float]:
@@ -140,10 +143,6 @@ def _floats(value: Any) -> Iterator[float]:
 
 def _number(text: str) -> float:
     return float(text.replace("−", "-"))
-
-
-def _near(one: float, other: float) -> bool:
-    return math.isclose(one, other, rel_tol=RELATIVE, abs_tol=1e-300)
 
 
 class Page(HTMLParser):
@@ -218,9 +217,9 @@ COMPARED: Final = (".json", ".html", ".xml", ".csv", ".jsonl", ".status", ".h")
 """Suffixes of the files that are compared; of other files (PDF, logs, output), only the presence counts."""
 
 
-def compare(one: Path, other: Path) -> Differences:
+def compare(one: Path, other: Path, within: float = 1e-9) -> Differences:
     """Compare two stores file by file, for the seeds that are complete in both."""
-    found = Differences()
+    found = Differences(within)
     seeds, others = ({done.parent.name for done in top.glob("seed-*/done")} for top in (one, other))
     both = seeds & others
     mine, theirs = (
@@ -288,7 +287,7 @@ def main() -> None:
     given = arguments(
         __doc__, does={"positional": True, "choices": ("store", "compare", "schemas")},
         folders={"positional": True, "nargs": "+", "type": Path, "help": "one, to compare two"},
-        program="bench", seeds=50,
+        program="bench", seeds=50, within=(1e-9, "largest relative difference of two equal numbers"),
     )  # fmt: skip
     if len(given.folders) != (2 if given.does == "compare" else 1):
         refuse(f"{given.does} takes {'two folders' if given.does == 'compare' else 'one folder'}")
@@ -297,7 +296,7 @@ def main() -> None:
         return
     if given.does == "schemas":
         sys.exit(amiss(compare_schemas(given.folders[0]), "lacks    "))
-    found = compare(*given.folders)
+    found = compare(*given.folders, given.within)
     amiss(found.reworded, "reworded ")
     status = amiss(found.different, "different")
     told = f"{len(found.different)} differences, {len(found.reworded)} reworded texts"
