@@ -296,7 +296,8 @@ def main() -> None:
         return
     if given.does == "schemas":
         sys.exit(amiss(compare_schemas(given.folders[0]), "lacks    "))
-    found = compare(*given.folders, given.within)
+    one, other = given.folders
+    found = compare(one, other, given.within)
     amiss(found.reworded, "reworded ")
     status = amiss(found.different, "different")
     told = f"{len(found.different)} differences, {len(found.reworded)} reworded texts"
