@@ -1,6 +1,6 @@
 """The blind trial's command line.
 
-python -m benchmarks.blind_trial --short
+    python -m benchmarks.blind_trial --short
     python -m benchmarks.blind_trial --seed 7 --workers 2 --json score.json --ledger ledger.jsonl
     python -m benchmarks.blind_trial --seed 7 --page
     python -m benchmarks.blind_trial --seed 7 --page --share 0.1      # every row, a tenth of its cases
