@@ -13,7 +13,7 @@ from scipy.special import logsumexp, softmax
 from bench.base.arrays import Floats
 from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
-from bench.diagnosis.levels import BY_CHANCE, FARTHEST, HARDLY_EVER, INSEPARABLE, NEGLIGIBLE, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
 from bench.model.effects import CATALOGUE
 
 MOST_EFFECTS: Final = 5
@@ -137,19 +137,32 @@ class Scored:
         size = math.sqrt(self.explained(variant))
         return FoundEffect(variant, self.evidence[family], self.total, size)
 
+    def in_place_of(self, one: FoundEffect) -> Iterator[tuple[Variant, float]]:
+        """Yield the likeliest form of each tie of a find, with its probability.
+
+        For an effect without a name, other forms of its family follow. Those below `BY_CHANCE` are left out.
+        """
+        variants = self.search.whitened.candidates.variants
+        odds = {found.name: found.probability for found in one.odds}
+        likely = [(self.likeliest(name).plain, odds[name]) for name in one.ties]
+        if not one.variant.named:
+            forms = self._forms(one.variant.family)
+            shares = odds[one.variant.family] * softmax([*forms.values()])
+            likely += zip((variants[number] for number in forms), shares.tolist(), strict=True)
+        yield from ((v, share) for v, share in likely if share >= BY_CHANCE and v != one.variant)
+
     def likeliest(self, family: str) -> Variant:
         """Return the form of a family that has the largest evidence."""
-        evidence = self.forms(family)
+        evidence = self._forms(family)
         return self.search.whitened.candidates.variants[max(evidence, key=evidence.__getitem__)]
 
-    def forms(self, family: str) -> dict[int, float]:
-        """Return ln of the evidence of each form of a family, by index in `Candidates.variants`."""
+    def _forms(self, family: str) -> dict[int, float]:
         of_family = self.search.whitened.candidates.of_family(family)
         return {i: float(self.scores.variants[i, 0]) for i in of_family}
 
     def _best_variant(self, family: str) -> Variant:
         variants = self.search.whitened.candidates.variants
-        evidence = self.forms(family)
+        evidence = self._forms(family)
         best = max(evidence, key=lambda i: evidence[i])
         by_pass = family in CATALOGUE and CATALOGUE[family].per_pass
         share = np.exp(np.array(list(evidence.values())) - evidence[best])
@@ -375,27 +388,6 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest
-
-
-def in_their_place(whitened: Whitened, data: Data, naming: Naming) -> Floats:
-    """Return the changes (N, k) of the rows by forms in place of the finds, times the root of their probability.
-
-    They are the forms of each find's ties and, if it has no name, the other forms of its family. Other shapes of
-    an effect of the catalogue are parts of the model (`beside`). Forms below `HARDLY_EVER` are left out.
-    """
-    candidates, columns = whitened.candidates, [np.zeros((len(whitened.candidates.columns), 0))]
-    for i, one in enumerate(naming.found):
-        scored = Scored.beside(whitened, data, _columns(naming.found, but=i))
-        own = () if one.variant.named else (one.variant.family,)
-        for odds in (odds for odds in one.odds if odds.name in (*one.ties, *own)):
-            forms = scored.forms(odds.name)
-            shares = odds.probability * softmax([*forms.values()])
-            for number, share in zip(forms, shares.tolist(), strict=True):
-                variant = candidates.variants[number]
-                if share >= HARDLY_EVER and (variant != one.variant or not variant.term):
-                    change = candidates.columns[:, list(variant.columns)] @ scored.amplitude(variant)[0]
-                    columns.append(np.sqrt(share) * change[:, None])
-    return np.concatenate(columns, axis=1)
 
 
 def same_signature(naming: Naming) -> Iterator[str]:

@@ -25,7 +25,6 @@ from bench.diagnosis.naming import (
     Naming,
     Scored,
     find,
-    in_their_place,
     name,
     named_again,
     same_signature,
@@ -410,32 +409,58 @@ class Rival:
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return, for each find, the `LISTED` likeliest families in its place and all its ties, the best first."""
-    naming = diagnosis.naming
-    if not naming.found:
-        return ()
-    linear, candidates = diagnosis.linear, diagnosis.candidates
-    fixed = linear.fixed.shape[1]
-    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[:fixed]
-    # with the same wide prior as the rivals, so that the difference is not due to priors
-    found = posterior(linear, candidates.columns[:, list(naming.columns)], diagnosis.noise)
-    coefficients = found.mean[:fixed]
+    naming, candidates = diagnosis.naming, diagnosis.candidates
+    found = _coefficients(diagnosis, naming.columns)
+    u = np.sqrt(np.diag(diagnosis.fitted.covariance))[: diagnosis.linear.fixed.shape[1]]
     rankings = []
     for one in naming.found:
-        others = [i for f in naming.found if f is not one for i in f.variant.columns]
-        scored = Scored.beside(diagnosis.whitened, diagnosis.data, others)
+        scored, others = _beside(diagnosis, one)
         ranked = sorted(scored.evidence, key=lambda family: -scored.evidence[family])
         alike = {one.variant.family, *one.ties, *one.plainer_than}
         ranked = [f for f in ranked if f == one.variant.family or not is_form(candidates, f)]
         rows = []
         for family in (f for i, f in enumerate(ranked) if i < LISTED or f in alike):
             variant = one.variant if family == one.variant.family else scored.likeliest(family)
-            columns = candidates.columns[:, [*others, *variant.columns]]
-            shift = (posterior(linear, columns, diagnosis.noise).mean[:fixed] - coefficients) / u
+            shift = (_coefficients(diagnosis, [*others, *variant.columns]) - found) / u
             rows.append(
                 Rival(name_of(candidates, family), scored.evidence[family], family in one.ties, shift)
             )
         rankings.append(tuple(rows))
     return tuple(rankings)
+
+
+def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
+    """Return the shifts (k, 12 per block) of the coefficients by ties, times the root of each tie's probability.
+
+    Only finds that are in the model count: those with a name and, if no search of forms replaced them, forms.
+    """
+    form, naming = diagnosis.form, diagnosis.naming
+    same = all(one.variant.named or one.variant.term for one in naming.found)
+    described = form is not None and bool(form.applied) and not form.instead_of and same
+    found = _coefficients(diagnosis, naming.columns)
+    shifts = [np.zeros((0, len(found)))]
+    for one in naming.found:
+        scored, others = _beside(diagnosis, one)
+        for variant, probability in scored.in_place_of(one) if one.variant.named or described else ():
+            shift = _coefficients(diagnosis, [*others, *variant.columns]) - found
+            shifts.append(np.sqrt(probability) * shift[None])
+    return np.concatenate(shifts)
+
+
+def _beside(diagnosis: Diagnosis, one: FoundEffect) -> tuple[Scored, list[int]]:
+    """Return the scores beside all other finds, and the columns of these."""
+    others = [i for f in diagnosis.naming.found if f is not one for i in f.variant.columns]
+    return Scored.beside(diagnosis.whitened, diagnosis.data, others), others
+
+
+def _coefficients(diagnosis: Diagnosis, columns: Sequence[int]) -> Floats:
+    """Return the changes of the coefficients from the first guess if these columns explain the readings.
+
+    All columns have the same wide prior, so that a difference of two results is not due to priors.
+    """
+    linear = diagnosis.linear
+    fitted = posterior(linear, diagnosis.candidates.columns[:, list(columns)], diagnosis.noise)
+    return fitted.mean[: linear.fixed.shape[1]]
 
 
 @dataclass(frozen=True)
@@ -522,23 +547,25 @@ def diagnose_fully(
 def _shown(
     diagnosis: Diagnosis, model: ForwardModel, stand_u: Mapping[str, float], g_m_s2: float
 ) -> Iterator[ModelComparison]:
-    readings, linear = diagnosis.mistakes.corrected, diagnosis.linear
-    slow = _signals(linear, linear.random[:, linear.random.shape[1] - linear.of_noise :])
-    in_place = _signals(linear, in_their_place(diagnosis.whitened, diagnosis.data, diagnosis.naming))
+    readings, by_ties = diagnosis.mistakes.corrected, shifts_by_ties(diagnosis)
     if readings.block is None:
-        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, slow, in_place)
+        slow = _slow(diagnosis.linear)
+        yield show(readings, model, diagnosis.applied, stand_u, g_m_s2, diagnosis.in_part, slow, by_ties)
         return
-    for number in np.unique(readings.block):
-        chosen = readings.block == number
-        own = readings.select(chosen)
+    numbers = np.unique(readings.block)
+    for number, own_ties in zip(numbers, np.split(by_ties, len(numbers), axis=1), strict=True):
+        own = readings.select(readings.block == number)
         mounts = {str(mount) for mount in own.conditions().mounts}
         applied = [a for a in diagnosis.applied if not a.installations or mounts & set(a.installations)]
-        yield show(own, model, tuple(applied), stand_u, g_m_s2, in_place=in_place[chosen])
+        yield show(own, model, tuple(applied), stand_u, g_m_s2, by_ties=own_ties)
 
 
-def _signals(linear: LinearSystem, columns: Floats) -> Floats:
-    """Return changes of the rows, (N, k), as changes of the signals, (n, 3, k)."""
+def _slow(linear: LinearSystem) -> Floats | None:
+    """Return the signals (n, 3, k) of the slow noise found, for one standard deviation of each of k components."""
+    if not (linear.slow_channels or linear.slow_reference):
+        return None
     rows, own = linear.rows, linear.setting >= 0
-    signals = np.zeros((len(linear.readings), 3, columns.shape[1]))
-    signals[rows.reading[own], rows.channel[own]] = columns[own]
+    signals = np.zeros((len(linear.readings), 3, linear.of_noise))
+    of_noise = linear.random[own, linear.random.shape[1] - linear.of_noise :]
+    signals[rows.reading[own], rows.channel[own]] = of_noise
     return signals

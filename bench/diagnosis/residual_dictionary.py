@@ -61,7 +61,7 @@ class TimeCourse:
     """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
     Each of the formulas `expressions` has its own size; `constants` are parameters of a single value.
-    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor and voltage;
+    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor, voltage and, if it has a `where`, gain;
     `narrow`: at one angle, mounting or step, or a fast wave, and so not tried in angles of the stand. `where`
     says in words where it acts.
     """
@@ -81,7 +81,7 @@ class DictionaryTerm:
     """A term of the dictionary: formulas, each with a size in `unit`, added at one stage of the model.
 
     `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for
-    powers and products; `in_proportion`, the course changes the scale factor or the gain, not the zero.
+    powers and products; `in_proportion`, the course changes the scale factor or the meter's gain.
     """
 
     family: str

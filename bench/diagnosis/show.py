@@ -73,7 +73,10 @@ class Simulation:
 
 @dataclass(frozen=True)
 class CoefficientChange:
-    """A coefficient and its u, `before` with the given model and `after` with the effects found."""
+    """A coefficient and its u, `before` with the given model and `after` with the effects found.
+
+    `u_after` includes what ties of the effects would change.
+    """
 
     before: float
     u_before: float
@@ -114,15 +117,15 @@ def show(
     g_m_s2: float,
     in_part: tuple[AppliedEffect, ...] = (),
     slow: Floats | None = None,
-    in_place: Floats | None = None,
+    by_ties: Floats | None = None,
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
     `stand_u` is as in `diagnose`; `g_m_s2` is local gravity. Effects found in these readings are estimated
     again without their u; `in_part`, possible parts of other shapes, keep it. `slow` (n, 3, k) are signals of
     one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration finds
-    a drift itself. `in_place` (n, 3, k) are those of `in_their_place`; the u with the finds includes them.
-    Raises `CalibrationError` if the readings do not determine the coefficients.
+    a drift itself. The u with the finds includes `by_ties` (k, 12), the result of `shifts_by_ties`. Raises
+    `CalibrationError` if the readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2, slow, None)
@@ -131,7 +134,7 @@ def show(
     fresh = tuple(replace(one, u={}) for one in added)
     names = " + ".join(dict.fromkeys(label(one) for one in added))
     extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
-    return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2, slow, in_place))
+    return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2, slow, by_ties))
 
 
 def label(applied: AppliedEffect) -> str:
@@ -171,7 +174,7 @@ def _simulate(
     stand_u: Mapping[str, float],
     g_m_s2: float,
     slow: Floats | None,
-    in_place: Floats | None,
+    by_ties: Floats | None,
 ) -> Simulation:
     problem, fit = _fitted(readings, model, stand_u, join_verification=False)
     joined = len(readings.verification()) > 0 and _hardly_told(problem, fit)
@@ -188,9 +191,10 @@ def _simulate(
     noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
     weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
     calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined)
-    unresolved = (in_place, slow if calibration.drift is None else None)
-    moved = [np.einsum("pnc,nck->pk", calibration.gain, of) for of in unresolved if of is not None]
-    more = sum(of @ of.T for of in moved)
+    more = np.zeros((FIXED, FIXED)) if by_ties is None else by_ties.T @ by_ties
+    if slow is not None and calibration.drift is None:
+        moved = np.einsum("pnc,nck->pk", calibration.gain, slow)
+        more = more + moved @ moved.T
     calibration = replace(
         calibration,
         covariance=calibration.covariance + more,

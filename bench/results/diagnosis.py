@@ -94,7 +94,7 @@ class SimulationsPart(ResultModel):
 
 
 class ShiftPart(ResultModel):
-    """A change of a coefficient, in units of its u."""
+    """A change of a coefficient, in units of its u if the effect found is the true one."""
 
     coefficient: str
     in_u: Real
