@@ -61,9 +61,9 @@ class TimeCourse:
     """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
     Each of the formulas `expressions` has its own size; `constants` are parameters of a single value.
-    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor, voltage and, if it has a `where`, gain;
-    `narrow`: at one angle, mounting or step, or a fast wave, and so not tried in angles of the stand. `where`
-    says in words where it acts.
+    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor and voltage
+    and, if it has a `where`, in a meter's gain; `narrow`: at one angle, mounting or step, or a fast wave, and so
+    not tried in angles of the stand. `where` says in words where it acts.
     """
 
     words: str
