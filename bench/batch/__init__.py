@@ -1,1 +1,1 @@
-"""The same work over many runs, restartable, by processes or a cluster; a table of what changed."""
+"""Batches: one command for many runs, restartable, on processes or a cluster; a table of what changed."""

@@ -23,10 +23,10 @@ from bench.services.errors import Refused
 AHEAD: Final = 2
 """Number of runs queued at each process, so that it need not wait for the next one."""
 TRIES: Final = 3
-"""Number of process deaths after which a run counts as failed; repeated failures to start end the batch."""
+"""A run fails if this many processes die computing it; as many failed starts per process end the batch."""
 RECYCLED: Final = 2000
 RECYCLED_DIAGNOSES: Final = 100
-"""A process is replaced after this many runs, to release the memory that libraries keep."""
+"""A process is replaced after this many runs or diagnoses, to release the memory that libraries keep."""
 _PATIENCE_S: Final = 5.0
 
 
@@ -235,9 +235,9 @@ _LOOKED_AGAIN: Final = 100
 def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
-    The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as
-    workers need runs. Raises `Refused` if no scheduler answers, if it disconnects, or if a worker has another
-    program.
+    The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as workers
+    need runs. Raises `Refused` if no scheduler answers, if it disconnects, or if a worker's program differs in its
+    versions or code.
     """
     dask: Any = import_module("distributed")
 
@@ -309,7 +309,10 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
 
 
 def of_program(asked: dict[str, str], job: Job, run: str) -> Row:
-    """Return the row of a run, as `worked` does. Raises `RuntimeError` if this worker's program differs."""
+    """Return the row of a run, as `worked` does. Raises `RuntimeError` if this program is not `asked`.
+
+    `asked` has the versions and the hash of `program` on the computer that started the batch.
+    """
     mine = dict(program())
     other = [
         f"{name} is {mine.get(name)}, here {asked[name]}" for name in asked if mine.get(name) != asked[name]

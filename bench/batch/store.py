@@ -30,7 +30,7 @@ _READ: Final = (
 
 @dataclass(frozen=True)
 class Listed:
-    """The runs of a batch (absolute paths, sorted, unique), and the matching paths that are no runs."""
+    """The runs of a batch (absolute paths, sorted, unique), and the matching folders that hold no run."""
 
     runs: tuple[str, ...]
     no_runs: tuple[str, ...] = ()
@@ -39,12 +39,11 @@ class Listed:
 def list_runs(
     over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
 ) -> Listed:
-    """Return the runs that `over` selects, by a query (words such as `unit=Q-17`, all required) or by
-    patterns.
+    """Return the runs that `over` selects, by a query or by patterns of paths.
 
-    Patterns are shell patterns (`*`, `?`, `[…]`, `**` for nested folders), matched in the working folder or else in
-    the folder `runs`. A folder that is not a run stands for the runs in it. Raises `Refused` if no run is found;
-    the message names the `option`.
+    A query consists of words such as `unit=Q-17`, all of which must hold. Patterns are shell patterns (`*`, `?`,
+    `[…]`, `**` for nested folders), matched in the working folder or else in the folder `runs`. A folder that is
+    not a run stands for the runs in it. Raises `Refused` if no run is found; the message names the `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
@@ -137,7 +136,7 @@ _OPTIONS: Final = {"g_m_s2": "--g", "limit_g": "--limit", "pages": "the folder o
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch: `pending` runs with fingerprints, and `notes` for the user."""
+    """Progress of a batch: runs still `pending`, each with its fingerprint, and `notes` for the user."""
 
     pending: Mapping[str, str]
     notes: tuple[str, ...] = ()

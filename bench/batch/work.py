@@ -215,7 +215,11 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CalibrationValues:
-    """The calibration in a row: values and u (12,) in unit/g and unit; p of lack of fit, None if not judged."""
+    """The calibration in a row of the table.
+
+    `values` and `u` (12,) are in the order of `COEFFICIENTS`, in `unit` per g and `unit`. `p` is the p-value of the
+    test of lack of fit, None if the fit was not judged.
+    """
 
     estimator: str
     model: str
@@ -237,7 +241,7 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the calibration in a result. Raises `KeyError`, `TypeError` and the like for any other data."""
+        """Return the calibration in `told`, a result's JSON. Raises `KeyError`, `TypeError` and the like."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -257,7 +261,7 @@ class CalibrationValues:
 
 @dataclass(frozen=True)
 class VerdictValues:
-    """A verdict: acceptance, the statement, the largest |Δg| (g) with its u, the limit and the rule."""
+    """A verdict: acceptance, statement, largest |Δg| (g) with its standard uncertainty (g), limit, rule."""
 
     passed: bool
     statement: str
@@ -284,7 +288,7 @@ class VerdictValues:
 
 @dataclass(frozen=True)
 class Named:
-    """A diagnosis: verdict, names of the effects found, and the gap (reduced chi-square) before and after."""
+    """A diagnosis: verdict, effects found, and reduced chi-square of held-out readings without and with them."""
 
     verdict: str
     names: str
@@ -304,7 +308,10 @@ class Named:
 
 
 def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | None:
-    """Return the calibration stored in a run's folder; None if it is missing or, as `notes` say, unreadable."""
+    """Return the calibration stored in a run's folder; None if there is none that can be read.
+
+    An unreadable file adds its error to `notes`.
+    """
     found: CalibrationValues | None = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     return found
 
@@ -325,10 +332,9 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
     """Return the columns of the earlier values, the new values and their changes.
 
-    Without earlier values there are only the new ones. Because both are from the same readings, a change is not a
-    random deviation. A change is in units of the earlier u, or of the new u for a coefficient that had no u (fixed
-    by convention). If neither has a u, the change is zero or unknown. Results in different units of the signals
-    are not compared.
+    Without earlier values there are only the new ones. Both results are from the same readings, so a change is no
+    random deviation; the row states it as `change_in_u` does. Results in different units of the signals are not
+    compared.
     """
     row = _columns(now, "")
     if before is None:
@@ -353,7 +359,11 @@ def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
 
 
 def change_in_u(before: CalibrationValues, now: CalibrationValues) -> Floats:
-    """Return the change of each coefficient (12,) divided by the coefficient's u; NaN where there is no u."""
+    """Return the change of each coefficient (12,) divided by its earlier u, or by its new u if it had none.
+
+    A coefficient fixed by convention has no u. Without any u, the result is 0 if the coefficient is unchanged, else
+    NaN.
+    """
     moved = now.values - before.values
     unit = np.where(before.u > 0, before.u, now.u)
     with np.errstate(divide="ignore", invalid="ignore"):

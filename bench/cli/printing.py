@@ -44,7 +44,7 @@ def console(*, json: str | None = None) -> Console:
 
 
 def in_words(out: Console, text: str, style: str = "") -> None:
-    """Print a text. A terminal wraps it between words, where it would break lines within words."""
+    """Print a text; on a terminal, wrap it between words, because the terminal itself would break words."""
     out.print(text, style=style, soft_wrap=not out.is_terminal)
 
 
@@ -177,9 +177,9 @@ def written(what: str, file: Path, out: Console | None = None) -> None:
 
 
 def bench_file(taken: BenchPart, json: str | None, of: str = "") -> None:
-    """Print which bench file is used, and why; `of` names the readings if there are several.
+    """Print which bench file is used, and the reason; `of` names the readings if there are several.
 
-    Print nothing if the JSON result goes to standard output (`json` is "-"), because it names the bench file.
+    Print nothing if the JSON result, which names the bench file, goes to standard output (`json` is "-").
     """
     if json != "-":
         console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.file})")

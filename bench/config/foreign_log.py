@@ -36,19 +36,19 @@ from bench.readings.csv import LISTED_AT_ONCE, ReadingsError
 from bench.readings.table import REFERENCE_SD_V, REFERENCE_V, SCAN_ORDER, TEMPERATURE_SOURCE, UNITS
 
 SUFFIXES: Final[Mapping[str, str]] = {"_v": "V", "_s": "s", "_a": "A"}
-"""The SI unit of a column of a readings file, by its suffix; other columns are not converted."""
+"""The SI unit of a readings file's column, by its suffix; of other columns, only temperatures are converted."""
 SCATTER: Final[Mapping[str, str]] = {REFERENCE_V: REFERENCE_SD_V} | {
     f"u{axis}_{unit}": f"u{axis}_sd_{unit}" for axis in "xyz" for unit in UNITS
 }
-"""The columns of a readings file that have a column of scatter, with its name."""
+"""The name of the column of scatter, for each column of a readings file that has one."""
 TIME: Final = "time_s"
 INSTALLATION: Final = "installation"
 TEXTS: Final = (INSTALLATION, SCAN_ORDER, TEMPERATURE_SOURCE)
-"""The columns of a readings file whose cells are texts, taken as they are written in the log."""
+"""The columns of a readings file whose cells are texts; a label of an installation such as 1.0 becomes 1."""
 TEMPERATURES: Final[Mapping[str, tuple[float, float]]] = {
     "degC": (1.0, 0.0), "K": (1.0, -273.15), "degF": (5.0 / 9.0, -160.0 / 9.0),
 }  # fmt: skip
-"""The units of temperature in a log, with factor and summand of their conversion to °C."""
+"""For each unit of temperature in a log, the factor and then the summand of its conversion to °C."""
 MOST_PREVIEWED: Final = 5
 
 
@@ -94,7 +94,7 @@ class LogColumns(FileModel):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield place and sentence for a unit that does not fit its column, and columns that make no mean."""
+        """Yield place and sentence for each wrong unit, column listed twice, and text from several columns."""
         columns = data.get("columns") if isinstance(data, dict) else None
         for name, value in columns.items() if isinstance(columns, dict) else ():
             unit = value.get("unit") if isinstance(value, dict) else None
@@ -163,9 +163,9 @@ def convert_log(
 ) -> ConvertedLog:
     """Return a log converted to a readings file; times count from the first row of the log.
 
-    Raises `ReadingsError` with file, line and column for a column that the log lacks, for an hour that a clock
-    repeated, and for every cell that is no number (the first 20, then a count); with `skip_bad_rows` rows with
-    such cells are left out.
+    Raises `ReadingsError` with file, line and column for a column that the log lacks, for times that go back as
+    when a clock is put back, and for every cell that is no number (the first 20, then a count). With
+    `skip_bad_rows`, rows with such cells are left out instead.
     """
     try:
         text = content.decode("utf-8-sig")

@@ -155,10 +155,11 @@ def _symbol(text: str) -> str:
 
 
 class FormulaParameter(FileModel):
-    """A parameter of a formula: a size with a `plausible` value (1 σ), or a shape with a `grid` of values.
+    """A parameter of a formula: an amplitude with a `plausible` value (1 σ), or a shape with a `grid`.
 
-    Readings are not linear in a shape, such as a time constant or a width. A diagnosis tries each value of the
-    grid; a fit holds the shape at the stated value, or else at `default`. A size may have a value for each channel.
+    Readings are linear in an amplitude, but not in a shape, such as a time constant or a width. A diagnosis tries
+    each shape value of the grid; a fit holds the shape at the stated value, or else at `default`. An amplitude may
+    have a value for each channel.
     """
 
     plausible: str | None = None

@@ -63,9 +63,11 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """A part of an effect's shape whose size is uncertain: the sum of `changes`, multiplied by the factor `times` ±
-    `u`. `of` names the effect. The factors of different parts are uncorrelated. `says` describes the part for the
-    reader of the file; nothing is computed from it.
+    """A part of an effect's shape whose amplitude is uncertain.
+
+    The part is the sum of `changes` times the factor `times`, which has the standard uncertainty `u`. `of` names
+    the effect. The factors of different parts are uncorrelated. `says` describes the part for the reader of the
+    file; nothing is computed from it.
     """
 
     of: str
@@ -75,14 +77,14 @@ class OpenShape(FileModel):
     changes: tuple[EffectEntry, ...] = Field(min_length=1)
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return the part as an effect of size `times` ± `u`; `number` numbers the parts of one effect from 1."""
+        """Return the part as an effect of amplitude `times` ± `u`; `number` counts an effect's parts from 1."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
 class WithEffects(FileModel):
     """A file or section with `effects` and the user's `formulas` that they use.
 
-    `left_open` are the parts of the effects' shapes whose sizes are uncertain.
+    `left_open` are the parts of the effects' shapes whose amplitudes are uncertain.
     """
 
     if TYPE_CHECKING:
@@ -100,7 +102,7 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the file's effects (values in SI), then the parts in `left_open` as effects of uncertain size."""
+        """Return the file's effects (values in SI), then its `left_open` as effects of uncertain amplitude."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -111,11 +113,11 @@ class WithEffects(FileModel):
 
 
 class ModelFile(WithEffects):
-    """A model file; `parent` names the model that it extends, `data_sha256` the readings that it was derived from.
+    """A model file; `parent` names the model that it extends, `data_sha256` the readings used to make it.
 
-    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the scatter of
-    a reading (1 σ) that neither effects nor unnamed terms explain; a note warns users of the file. `left_open`
-    lists the parts of the effects' shapes whose sizes are uncertain.
+    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard
+    deviation of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
+    `left_open` lists the parts of the effects' shapes whose amplitudes are uncertain.
     """
 
     model_file: Literal["1"]
@@ -359,7 +361,7 @@ def write_model_file(
 
 
 def written_effects(effects: Sequence[AppliedEffect]) -> dict[str, Any]:
-    """Return what a file states of these effects: the keys `effects` and, where needed, `formulas`, `left_open`."""
+    """Return the entries of a file for these effects: `effects` and, if needed, `formulas` and `left_open`."""
     content: dict[str, Any] = {}
     formulas = written_formulas(applied.effect for applied in effects)
     if formulas:
@@ -458,10 +460,11 @@ def unnamed_in(effects: Sequence[AppliedEffect]) -> list[str]:
 def accept(
     effects: Sequence[AppliedEffect], terms: Sequence[str], name: str, sentence: str
 ) -> tuple[FormulaEffect, tuple[AppliedEffect, ...]]:
-    """Combine the unnamed terms in `terms`, or all if that is empty, into one effect with a name and sentence.
+    """Combine unnamed terms into one effect with a name and a sentence.
 
-    Return this effect, and the `effects` in which it replaces the terms. Raises `ValueError` for unknown terms, or
-    terms that act at different places of the model.
+    `terms` names the unnamed terms; if it is empty, all are combined. Return the new effect, and the `effects` in
+    which it replaces the terms. Raises `ValueError` for unknown terms, or terms that act at different places of the
+    model.
     """
     known = unnamed_in(effects)
     if not known:

@@ -16,14 +16,14 @@ from bench.exchange.result import BlockResult
 from bench.history.measured import STANDARD_GRAVITY
 
 DIGITS: Final = 3
-"""Significant digits of the block's own scale factors, which are used if none are requested."""
+"""Significant digits of the calibrated scale factors, which convert signals if no others are requested."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """The block as a sensor in m/s²: z = M a + b.
+    """The block as a sensor in m/s²: z = M a + b, with the specific force a in m/s².
 
-    The signals U are converted by z = 9.80665 U / `nominal`; `nominal` (3,) are scale factors in unit/g.
+    z_i = 9.80665 U_i / S_i converts the signals U. The scale factors S are `nominal` (3,), in unit/g.
     """
 
     nominal: Floats
@@ -50,8 +50,8 @@ class Sensor:
 def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
     """Return the block as a sensor in m/s².
 
-    `nominal` (3,) are the scale factors by which signals are converted, per 9.80665 m/s². For signals in counts or
-    V the default is the calibrated scale factors, rounded; for signals in g or m/s² it is 1 or 9.80665.
+    `nominal` (3,) are the scale factors by which signals are converted, in unit per 9.80665 m/s². By default they
+    are the calibrated ones, rounded, for signals in counts or V, 1 for g, and 9.80665 for m/s².
     """
     if result.unit == "m/s^2":
         own = np.full(3, STANDARD_GRAVITY)
@@ -67,11 +67,11 @@ def sensor_of(result: BlockResult, nominal: Floats | None = None) -> Sensor:
 
 
 def diagonal(sensor: Sensor) -> tuple[Floats, float, float]:
-    """Return the scale (3,) of each axis for autopilots, and the exact largest errors (g) of |a| and a at 1 g.
+    """Return the scales (3,) for autopilots, and the largest errors (g), at 1 g, of |a| and of the vector a.
 
-    Autopilots use a_i = (z_i - b_i) scale_i, without cross-axis terms. a' = diag(1/M_ii) M a: at |a| = 1, |a'| lies
-    between the least and the largest singular value of diag(1/M_ii) M, and |a' - a| is at most the largest
-    singular value of diag(1/M_ii) M - 1.
+    Autopilots use a_i = (z_i - b_i) scale_i, without cross-axis terms: they find a' = D M a, with D = diag(1/M_ii).
+    At |a| = 1, |a'| lies between the least and the largest singular value of D M. |a' - a| is at most the largest
+    singular value of D M - I. Both bounds are attained.
     """
     scale = 1.0 / np.diag(sensor.M)
     left = scale[:, None] * sensor.M
@@ -81,9 +81,9 @@ def diagonal(sensor: Sensor) -> tuple[Floats, float, float]:
 
 
 def lower_triangular(sensor: Sensor) -> tuple[Floats, Floats, float]:
-    """Return the factors of Kalibr, `sensor.M` = M R, and the angle (rad) of R.
+    """Return M and R of Kalibr's form, `sensor.M` = M R, and the rotation angle (rad) of R.
 
-    M is lower triangular with a positive diagonal, R the rotation to the axes of M: z = M R a + b.
+    M is lower triangular with a positive diagonal. R is the rotation to the axes of M: z = M R a + b.
     """
     q, r = np.linalg.qr(sensor.M.T)
     sign = np.where(np.diag(r) < 0, -1.0, 1.0)

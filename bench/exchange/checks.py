@@ -18,7 +18,7 @@ from bench.base.arrays import Floats
 from bench.base.text import double
 
 TOLERANCE: Final = 1e-12
-"""Largest relative difference of a corrected acceleration of 1 g."""
+"""Largest accepted error of a corrected acceleration in a test, as a fraction of 1 g."""
 COUNT: Final = 20
 MARK: Final = "test: "
 """First word of each line of a file's own test, after the comment sign."""

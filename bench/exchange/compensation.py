@@ -34,7 +34,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
 
 
 def table_checks(model: TemperatureModel, table: CompensationTable) -> Floats:
-    """Return check vectors (n, 7), at least 20: temperature (deg C), signals, accelerations (g)."""
+    """Return check vectors (n, 7), n ≥ 20: temperature (deg C), signals (3), accelerations (3, in g)."""
     steps = table.nodes - 1
     even = np.linspace(model.minimum_c, model.maximum_c, len(POSITIONS))
     middles = table.first_c + table.step_k * (np.arange(steps) + 0.5)

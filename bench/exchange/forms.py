@@ -28,8 +28,7 @@ if TYPE_CHECKING:
 
 
 def csv_text(result: BlockResult) -> str:
-    """Return CSV text: a table of all numbers (name, value, u, U, unit), then the covariances with title
-    lines.
+    """Return CSV text: a table of all numbers (name, value, u, U, unit), then each covariance with a title.
 
     Comment lines begin with #; a covariance has its names in the first row and the first column. Each number has
     enough digits to be read back exactly.
@@ -169,7 +168,7 @@ def _row(values: Floats) -> str:
 
 
 def workbook(result: BlockResult) -> bytes:
-    """Return an .xlsx file: the origin, all numbers, three covariances, and a sheet that converts signals."""
+    """Return an .xlsx file: origin, all numbers, four covariances, conversion of signals, check vectors."""
     from openpyxl import Workbook
 
     book = Workbook()
@@ -289,7 +288,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
 
 
 def print_coefficients(result: BlockResult, on: Console) -> None:
-    """Print the header facts of every form, then N and U0, then the misalignment angles."""
+    """Print the header facts of every form, N and U0, the misalignment angles, and the intrinsic numbers."""
     for line in result.head():
         on.print(line, style="bold" if line.startswith("SIMULATED") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")

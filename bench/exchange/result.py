@@ -43,7 +43,7 @@ OPEN: Final = (
 class ReportedNumber:
     """One number with its standard and its expanded uncertainty, all in `unit`.
 
-    Both are NaN for a number that is zero by convention.
+    Both uncertainties are NaN for a number that is zero by convention.
     """
 
     name: str
@@ -54,7 +54,7 @@ class ReportedNumber:
 
     @property
     def determined(self) -> bool:
-        """Whether the readings determine the number, which is not zero by convention."""
+        """Whether the readings determine the number; False if it is zero by convention."""
         return not math.isnan(self.u)
 
 
@@ -175,15 +175,15 @@ _JSON_TEST: Final = (
 class BlockResult:
     """The coefficients of one block: U = K a + U0, with a in local g of `g_m_s2` (m/s²) and U in `unit`.
 
-    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the
-    readings, None if the result does not state it separately. `expanded` maps names of numbers to the U that
-    the result states for them; for all other numbers U is `k` times u. `gravity_u` is the relative standard
-    uncertainty of `g_m_s2`, 0 if the result does not state it; numbers per g do not include it. `bench`
-    describes the bench file of the result, `certificates` those of the instruments. `block_type`, `serial`
-    and `made_at` are empty if unknown. `temperature` names the temperature effects for which these numbers
-    are corrected; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it
-    is unknown or corrected for. `signs` says whose signs the scale factors have if free positions alone gave the
-    result, and is empty otherwise.
+    `covariance` (12, 12) is in the order of `COEFFICIENTS`; `covariance_readings` is the part from the readings,
+    None if the result does not state it separately. `expanded` maps names of numbers to the U that the result
+    states for them; for all other numbers U is `k` times u. `gravity_u` is the relative standard uncertainty of
+    `g_m_s2`, 0 if the result does not state it; the u of numbers per g does not include it. `bench` describes the
+    bench file of the result, `certificates` those of the instruments. `block_type`, `serial` and `made_at` are
+    empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
+    these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
+    if it is unknown, or if the result was corrected. `signs` says whose signs the scale factors have if free
+    positions alone gave the result, and is empty otherwise.
     """
 
     block: Block
@@ -215,7 +215,10 @@ class BlockResult:
 
     @cached_property
     def combined(self) -> bool:
-        """Whether u includes every error source of the bench, and not only the part from the readings."""
+        """Whether u includes every error source of the bench, and not only the part from the readings.
+
+        False if the result does not state that part separately.
+        """
         readings = self.covariance_readings
         return readings is not None and not np.array_equal(readings, self.covariance)
 

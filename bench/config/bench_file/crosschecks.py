@@ -251,9 +251,10 @@ _A: Final = ("current.minimum", "current.maximum", "limits.current", "current_li
 
 
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Yield place and text of each mistake in the supply section, also if it is a limit of block or supply.
+    """Yield the place and text of every mistake in the section on the block's supply.
 
-    `data` is the bench file as written; any part of it may be missing or malformed.
+    A missing power supply is a mistake, too, and so is a setting beyond the limits of the block or of the power
+    supply. `data` is the bench file as written; any part of it may be missing or malformed.
     """
     if part(data, *_UNIT) is None:
         return

@@ -107,8 +107,9 @@ class BenchFile(FileModel):
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity, m/s², as stated or by the WGS 84 formula; None if the file states neither gravity nor
-        location.
+        """Local gravity, m/s²; None if the file states neither gravity nor location.
+
+        For a location, the WGS 84 formula gives gravity.
         """
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
@@ -138,13 +139,13 @@ class BenchFile(FileModel):
 
     @property
     def head_limits_rad(self) -> tuple[float, float] | None:
-        """The lowest and highest angle of the head, rad; None for a manual head."""
+        """The lowest and highest angle of a motorised head, rad; None for a head that a person turns."""
         head = self.instruments.head
         return (head.minimum, head.maximum) if isinstance(head, MotorisedHeadForm) else None
 
     @property
     def head_backoff_rad(self) -> float:
-        """The least rotation, rad, by which the head approaches an angle; 0 for a manual head."""
+        """The least rotation, rad, by which a motorised head approaches an angle; 0 for any other head."""
         head = self.instruments.head
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
@@ -201,10 +202,11 @@ class _WithUnknownInstruments(BenchFile):
 
 
 def load_recorded_bench(path: Path) -> BenchFile:
-    """Read the bench file of a recorded run for evaluation; the effects of the simulation are left out.
+    """Read the bench file of a recorded run for evaluation, without the effects of the simulation.
 
-    Evaluations do not use these effects, and the catalogue may no longer contain them. The section of an instrument
-    with a missing plug-in is kept as written. Raises `FileMistakes` with every other mistake.
+    Evaluations do not use these effects, and the catalogue may no longer contain them. If a plug-in is missing, the
+    section of its instrument is kept as written, and no parts are checked against each other. Raises `FileMistakes`
+    with every other mistake.
     """
     document = load_document(path)
     if isinstance(document.data, dict):
@@ -239,8 +241,8 @@ _MICRO: Final = 1e-6
 class Standing:
     """The certificate of an instrument as it applies to readings of a certain day.
 
-    `answered` is the serial number that the instrument reported: empty if it has none, None if unknown, as for
-    readings from a file.
+    `answered` is the serial number that the instrument reported. It is empty if the instrument has none, and None
+    if no report is known, as for readings from a file.
     """
 
     section: InstrumentForm
@@ -333,7 +335,10 @@ def standings(
 
 
 def without(bench: BenchFile, names: Set[str]) -> BenchFile:
-    """Return a copy of a bench in which the named instruments have no certificates."""
+    """Return a copy of a bench in which the named instruments have no certificates.
+
+    Thermometers away from the block keep their certificates.
+    """
     if not names:
         return bench
 

@@ -44,7 +44,7 @@ class RunEntry(FileModel):
 
 
 class MeanEntry(FileModel):
-    """The mean of an angle over all mountings, or over those in one `installation`, and the u of this mean."""
+    """The mean of an angle, over all mountings or those in one `installation`, with standard uncertainty `u`."""
 
     angle: AngleName
     installation: str = Field("", min_length=0)
@@ -53,21 +53,21 @@ class MeanEntry(FileModel):
 
 
 class SizeEntry(FileModel):
-    """The noise of one channel (1 σ), in the unit of the signal, with its degrees of freedom."""
+    """The standard deviation of one channel's noise, in the unit of the signal, and its degrees of freedom."""
 
     size: Annotated[float, Field(gt=0.0)]
     dof: Dof
 
 
 class AngleSizeEntry(FileModel):
-    """The setting error of the head (1 σ) with its degrees of freedom."""
+    """The standard deviation of the head's setting error, and its degrees of freedom."""
 
     size: SizeRad
     dof: Dof
 
 
 class NoiseEntry(FileModel):
-    """The noise of the three channels, in `unit`, and the setting error of the head."""
+    """Standard deviations of the noise of the three channels, in `unit`, and of the head's setting error."""
 
     unit: str
     x: SizeEntry
@@ -120,7 +120,7 @@ def _symmetric(covariance: Floats) -> bool:
 
 
 class MeterValuesEntry(FileModel):
-    """A quantity of each meter relative to the mean of its group, and the covariance of these values, in SI."""
+    """Gains or offsets of the meters relative to the means of their groups, and their covariance, in SI."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
@@ -185,8 +185,9 @@ class LearnedFile(WithEffects):
     not_identified: tuple[str, ...] = ()
 
     def has(self, head: str, readings: Sequence[str]) -> bool:
-        """Whether the file was learned from the record whose chain has this `head`, or from readings with one of
-        these hashes.
+        """Whether the file was learned from the record with this chain `head`, or from any of these readings.
+
+        `readings` are hashes. An empty `head` matches no record.
         """
         return any((head and run.head == head) or run.readings in readings for run in self.runs)
 

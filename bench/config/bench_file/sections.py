@@ -47,7 +47,7 @@ from bench.readings.columns import METER_C, ROOM_C
 InstrumentForm = VoltmeterForm | HeadForm | ChamberForm | LevelForm | ThermometerForm | SupplyForm
 
 SURROUNDINGS: Final = {"meter_thermometer": METER_C, "room_thermometer": ROOM_C}
-"""For each thermometer away from the block, by its key: its column in the readings."""
+"""The column in the readings for each thermometer away from the block, by its key in the bench file."""
 
 
 class InstrumentsSection(FileModel):
@@ -103,7 +103,7 @@ class InstrumentsSection(FileModel):
 
     @property
     def adapters(self) -> dict[str, str]:
-        """The GPIB adapters, by address: their names as instruments ("adapter", "adapter.2", …)."""
+        """The names of the GPIB adapters as instruments ("adapter", "adapter.2", …), by adapter address."""
         places = [section.place for section in self.all() if isinstance(section, WiredForm)]
         known = dict.fromkeys(place.adapter for place in places if place is not None)
         return {
@@ -141,9 +141,9 @@ class BlockTruth(FileModel):
 class OperatorTruth(FileModel):
     """The simulated operator.
 
-    `setting_deviation` is the standard deviation of the set angle from its target; the scale is read to
-    `resolution`. A turn takes a time between the two values of `turn_time`. `slip_probability` is the probability
-    that a typed angle contains a common mistake (`drivers.angles.SLIPS`).
+    `setting_deviation` is the standard deviation of the difference between set angle and target. The operator reads
+    the scale to `resolution`. A turn takes a time between the two values of `turn_time`. `slip_probability` is the
+    probability that a typed angle contains a common mistake (`drivers.angles.SLIPS`).
     """
 
     setting_deviation: SizeRad = 2 * ARCSEC
@@ -270,10 +270,10 @@ class CheckBlockSection(FileModel):
 
     The chart gives one false alarm in `arl` runs on average (default 370). With `k` instead, it gives as many false
     alarms as a Shewhart chart with limits of k standard deviations. `smoothing` is the λ of its EWMA, which starts
-    again on the day `restarted`. `limits` sets the basis of the limits: u as "stated", u "scaled" to the baseline,
-    or the "scatter" of the baseline alone. `between_runs` names the sources of u that vary from run to run. With
-    `rule: refuse`, a run starts only if the last check was in control and is no older than `max_age`; with `warn`,
-    the run only warns.
+    again on the day `restarted`. `limits` selects the basis of the control limits: the "stated" u of a run, the
+    stated u "scaled" by a factor from the baseline, or the "scatter" of the baseline. `between_runs` names the
+    sources of u that vary from run to run. With `rule: refuse`, a run starts only if the last check was in control
+    and is no older than `max_age`; with `warn`, the run only warns.
     """
 
     serial: str

@@ -96,8 +96,8 @@ def can_come_about(
 ) -> None:
     """Raise `ValueError` for a criterion, such as of settling, that no samples can meet.
 
-    The samples, one every `interval_s`, must keep the size `size` (called `what` in the message) during the time
-    `span_s` (called `span`) before `timeout_s` has passed.
+    To meet the criterion, the samples, one every `interval_s`, must vary by at most `size` during the time
+    `span_s`, before `timeout_s` has passed. In the message, `what` stands for the size and `span` for the time.
     """
     if size <= 0.0:
         raise ValueError(f"the {what} is not above 0, but no two samples are equal; state one above 0")
@@ -131,7 +131,7 @@ class DriftForm(FileModel):
 def written_as(section: type[FileModel], tag: str, plain: str) -> Discriminator:
     """Return a discriminator between two forms of a written value.
 
-    A mapping, which is a `section`, has the tag `tag`; a number or a list has the tag `plain`.
+    A mapping, or an instance of `section`, has the tag `tag`; a number or a list has the tag `plain`.
     """
     return Discriminator(lambda written: tag if isinstance(written, dict | section) else plain)
 
@@ -147,7 +147,7 @@ class UnitSupplySection(FileModel):
 
     The rails are switched on in the listed order, `pause` apart, and off in reverse. Once off, the block stays off
     for at least `least_off`. `warm_up` starts at switch-on; it is a fixed time, or ends when the signals have
-    settled. `when_unsafe` is the safe state of the block whenever a run ends: it stays on, or is switched off.
+    settled. `when_unsafe` is the state in which a run leaves a block that it has switched: on ("stay-on") or "off".
     """
 
     rails: Annotated[tuple[RailSection, ...], Field(min_length=1)]
@@ -269,13 +269,13 @@ def _of_a_bench(limit_rad: float) -> float:
 
 
 class AngleError(ErrorSize):
-    """A stand error that is an angle, rad, small enough for sin α = α."""
+    """The limit of a stand error that is an angle, rad, small enough for sin α = α."""
 
     limit: Annotated[SizeRad, AfterValidator(_of_a_bench)]
 
 
 class VoltageError(ErrorSize):
-    """An error in volts."""
+    """The limit of an error in volts."""
 
     limit: SizeV
 
@@ -406,13 +406,13 @@ CUBIC: Final = QuantityKind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
 
 
 class RatioError(ErrorSize):
-    """A relative error."""
+    """The limit of a relative error."""
 
     limit: Annotated[float, not_negative(RATIO)]
 
 
 class GravityError(ErrorSize):
-    """An error of local gravity, m/s²."""
+    """The limit of the error of local gravity, m/s²."""
 
     limit: Annotated[float, not_negative(GRAVITY)]
 
@@ -420,8 +420,8 @@ class GravityError(ErrorSize):
 class TemperatureError(ErrorSize):
     """The limit of the difference between the temperatures of the block in use and in the calibration, K.
 
-    By default the difference is constant throughout a run. If it fluctuates, `correlation_time` is its correlation
-    time, and averaging over readings reduces it.
+    By default the difference is constant throughout a run. With `correlation_time`, it fluctuates with this
+    correlation time, and averaging over readings reduces the error.
     """
 
     limit: SizeK
@@ -435,10 +435,10 @@ class TemperatureError(ErrorSize):
 
 
 class RoomError(ErrorSize):
-    """The limit of the changes of the room's temperature, K, which the voltmeters follow with the time constant
-    `lag`.
+    """The limit of the changes of the room's temperature, K.
 
-    The lag is 100 min by default, as a published record of a 34420A in an air bath shows.
+    The voltmeters follow the room with the time constant `lag`. It is 100 min by default, as a published record of
+    a 34420A in an air bath shows.
     """
 
     LAG_S: ClassVar[float] = 6000.0
@@ -448,43 +448,43 @@ class RoomError(ErrorSize):
 
 
 class BiasPerKelvin(ErrorSize):
-    """A temperature coefficient of the bias, g/K."""
+    """The limit of a temperature coefficient of the bias, g/K."""
 
     limit: Annotated[float, not_negative(BIAS_PER_K)]
 
 
 class ScalePerKelvin(ErrorSize):
-    """A temperature coefficient of the scale factor, 1/K."""
+    """The limit of a temperature coefficient of the scale factor or of a voltmeter's gain, 1/K."""
 
     limit: Annotated[float, not_negative(SCALE_PER_K)]
 
 
 class BiasPerVolt(ErrorSize):
-    """A supply voltage coefficient of the bias, for one rail, g/V."""
+    """The limit of a supply voltage coefficient of the bias, for one rail, g/V."""
 
     limit: Annotated[float, not_negative(BIAS_PER_V)]
 
 
 class ScalePerVolt(ErrorSize):
-    """A supply voltage coefficient of the scale factor, for one rail, 1/V."""
+    """The limit of a supply voltage coefficient of the scale factor, for one rail, 1/V."""
 
     limit: Annotated[float, not_negative(SCALE_PER_V)]
 
 
 class BiasError(ErrorSize):
-    """The repeatability of a bias from one switch-on to another, g."""
+    """The limit of the change of a bias from one switch-on to another, g."""
 
     limit: Annotated[float, not_negative(BIAS)]
 
 
 class QuadraticError(ErrorSize):
-    """The quadratic nonlinearity K2 of a channel, in g per g²."""
+    """The limit of the quadratic nonlinearity K2 of a channel, in g per g²."""
 
     limit: Annotated[float, not_negative(QUADRATIC)]
 
 
 class CubicError(ErrorSize):
-    """The cubic nonlinearity K3 of a channel, in g per g³."""
+    """The limit of the cubic nonlinearity K3 of a channel, in g per g³."""
 
     limit: Annotated[float, not_negative(CUBIC)]
 
@@ -497,8 +497,8 @@ class ZeroRepeats(FileModel):
     """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
     `restart` is the standard deviation of the zeros between repeats; `drift` is the standard deviation of their
-    change from one repeat to the next; both are in g. `scale` holds factors on the u of the readings. Exactly one
-    of the three is stated.
+    change from one repeat to the next; both are in g. `scale` is a standard deviation as a multiple of the u that
+    the readings give a zero. Exactly one of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None

@@ -30,7 +30,7 @@ from drivers.facts import watlow_f4t as f4t
 
 
 class EspecSection(ControlledChamberForm):
-    """A chamber with an Espec P300 or SCP-220; `identity` is the pattern of the controller's name."""
+    """A chamber with an Espec P300 or SCP-220; the controller's name must match the pattern `identity`."""
 
     facts: ClassVar = espec
     for_driver: ClassVar = ("identity",)
@@ -41,13 +41,13 @@ class EspecSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(espec)
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the simulation's options: limits (°C), sensor noise, and a name if `identity` is a plain name."""
+        """Return the simulation's options: limits (°C), sensor noise (K), name (if `identity` is a name)."""
         named = {"name": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named | {"noise_c": truth.sensor_noise}
 
 
 class ThermotronSection(ControlledChamberForm):
-    """A chamber with a Thermotron controller that works in °C; `identity` is the pattern of its name."""
+    """A chamber with a Thermotron controller that works in °C; its name must match the pattern `identity`."""
 
     facts: ClassVar = thermotron
     for_driver: ClassVar = ("identity",)
@@ -58,7 +58,7 @@ class ThermotronSection(ControlledChamberForm):
     serial: PortSection = PortSection.of(thermotron)
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the simulation's options: temperature limits, °C, and a name if `identity` is a plain name."""
+        """Return the simulation's options: temperature limits (°C), name (if `identity` is a name)."""
         named = {"identity": self.identity} if as_stated(self.identity) else {}
         return super().simulation_options(truth) | named
 

@@ -43,7 +43,7 @@ from drivers.facts import text_line
 
 Role = Literal["voltmeter", "head", "chamber", "level", "thermometer", "power_supply"]
 Options = tuple[str | tuple[str, str], ...]
-"""Names of keyword arguments; an argument whose name differs from that of its key is a pair (argument, key)."""
+"""Names of keyword arguments; if argument and key have different names, the pair (argument, key)."""
 
 
 class DeviceSection(FileModel):
@@ -59,7 +59,7 @@ class DeviceSection(FileModel):
     """Return the section classes of all instruments of a role; set by the registry, which knows them."""
     for_driver: ClassVar[Options] = ()
     for_simulation: ClassVar[Options] = ()
-    """Keys whose values are keyword arguments of driver and simulation."""
+    """Keys of the section: their values are keyword arguments of the driver or of the simulation."""
 
     driver: str
 
@@ -223,7 +223,7 @@ class WiredForm(DeviceSection):
 
 
 class PortSection(FileModel):
-    """The speed of a serial port, which the instrument must have; its facts fix all other parameters."""
+    """The baud rate set at the instrument's serial port; the instrument's facts fix all other parameters."""
 
     baud_rate: int
 
@@ -291,7 +291,7 @@ class Certified(FileModel):
 class CertifiedGain(Certified):
     """The correction of a voltmeter's gain on a range.
 
-    `drift` is the largest change in a year, in either direction.
+    `drift` is the largest change of the gain in a year, in either direction.
     """
 
     correction: Ratio = 0.0
@@ -309,7 +309,7 @@ class CertifiedGain(Certified):
 class CertifiedOffset(Certified):
     """The correction of a voltmeter's zero on a range.
 
-    `drift` is the largest change in a year, in either direction.
+    `drift` is the largest change of the zero in a year, in either direction.
     """
 
     correction: VoltageV = 0.0
@@ -318,7 +318,7 @@ class CertifiedOffset(Certified):
 
 
 class RangeValues(FileModel):
-    """The corrections of a voltmeter on one range: the corrected reading is U (1 + gain) + offset."""
+    """The corrections of a voltmeter on one range: corrected reading = reading (1 + gain) + offset."""
 
     range: VoltageV
     gain: CertifiedGain | None = None
@@ -407,7 +407,7 @@ class VoltmeterCertificate(Certificate):
         return next((value for value in self.values if value.range == range_v), None)
 
     def errors(self) -> dict[float, tuple[float, float]]:
-        """Return the errors that the corrections remove: range (V) -> (gain error, offset in V)."""
+        """Return the errors that the corrections remove: range (V) -> (relative gain error, offset in V)."""
         found = {}
         for value in self.values:
             gain = 1.0 + (value.gain.correction if value.gain else 0.0)

@@ -98,9 +98,7 @@ class NewportSection(MotorisedHeadForm):
     serial: PortSection = PortSection.of(newport)
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's options: speed, axis, travel, homed state, and the identity if it is a plain
-        name.
-        """
+        """Return the simulation's options: speed, axis, travel, homed state, name (if `identity` is a name)."""
         named = {"model": self.identity} if as_stated(self.identity) else {}
         return {
             **super().simulation_options(truth),
@@ -169,9 +167,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is its address without the N. It is read in two positions half a turn apart. In the first, for an
-    observer who faces the end of the shaft, its axis `along` points away along the shaft, and `across` to the
-    right.
+    `sensor` is its address without the N. The level is read in two positions half a turn apart. In the first
+    position, its axis `along` points along the shaft, away from an observer who faces the end of the shaft. Its
+    axis `across` points to the observer's right.
     """
 
     facts: ClassVar = nivel

@@ -90,7 +90,7 @@ class Devices:
         return None if place.startswith(str(Path(__file__).parent) + os.sep) else place
 
     def why_not(self, name: object) -> str | None:
-        """Return the failed imports or declarations that may explain why `name` is unknown, as text; else None."""
+        """Return a sentence on why `name` is no usable device; None if it is one, or if no reason is known."""
         if not isinstance(name, str) or name in self.found:
             return None
         if name in self.doubled:

@@ -87,8 +87,8 @@ class VoltmeterKind:
     def limits_after(self, years: float, range_v: float) -> tuple[float, float]:
         """Return the error limits some years after calibration, as fractions of reading and of range.
 
-        The 90-day limits hold for 90 days, then the one-year limits hold for a year. Later limits grow in
-        proportion to the time; without one-year limits they grow from day 90 on.
+        The 90-day limits hold for 90 days, and the one-year limits from then until one year. Later limits grow in
+        proportion to the time since calibration. Without one-year limits, the 90-day limits grow in this way.
         """
         of_90_days = self.accuracy[range_v]
         if years <= DAYS_90:
@@ -106,15 +106,15 @@ CERTIFICATE: Final = "certificate"
 class VoltmeterTruth(FileModel):
     """The noise, the errors and the flaws of the simulated voltmeters.
 
-    `noise` switches the noise on. `accuracy` chooses random errors within the 90-day limits of the maker, or the
-    errors in the certificates; without it there are none. The further keys are flaws of a real input: a source of
-    `source_ohm` is loaded by 10 MΩ unless the high impedance is on; `mains` is the amplitude of the mains voltage
-    on the signal, which an integration over whole cycles cancels; `zero_drift` is the drift of the zero per hour
-    with autozero off; `flicker` is the standard deviation of 1/f noise of the input per decade of frequency,
-    `reference_flicker` that of the meter's reference, as a fraction of the signal. `firmware` names
-    the versions of the meters in turn; "3-1-1" sends a comma after the last reading. `errors_at_start` are errors
-    in the queue at switch-on. With `real_port`, an RS-232 meter loses messages sent between a query and its reply,
-    and stops responding after ten idle minutes.
+    `noise` switches the noise on. `accuracy` selects random errors within the maker's 90-day limits, or the errors
+    in the certificates; without it there are none. The other keys are flaws of a real meter. A source of
+    `source_ohm` is loaded by 10 MΩ unless the high impedance is on. `mains` is the amplitude of the mains voltage
+    on the signal, which an integration over whole cycles cancels. `zero_drift` is the drift of the zero per hour
+    with autozero off. `flicker` is the standard deviation of the input's 1/f noise per decade of frequency,
+    `reference_flicker` that of the reference's 1/f noise, as a fraction of the signal. `firmware` names the
+    versions of the meters in turn; "3-1-1" sends a comma after the last reading. `errors_at_start` are errors in
+    the queue at switch-on. With `real_port`, an RS-232 meter loses messages sent between a query and its reply, and
+    stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -129,7 +129,7 @@ class VoltmeterTruth(FileModel):
     real_port: bool = False
 
     def flaws(self) -> dict[str, float]:
-        """Return the flaws of an input: source (Ω), mains (V), zero drift (V/s), 1/f noise (V, relative)."""
+        """Return the flaws: source (Ω), mains (V), zero drift (V/s), 1/f noise of input (V), reference (1)."""
         return {
             "source_ohm": self.source_ohm,
             "mains_v": self.mains,
@@ -232,9 +232,7 @@ class SerialPortForm(VoltmeterForm):
 
 
 def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
-    """Return the key "channels" or "inputs" of a written voltmeter section, and its signals; None without such a
-    key.
-    """
+    """Return the key "channels" or "inputs" of a voltmeter section as written, with its signals; else None."""
     if not isinstance(voltmeter, dict):
         return None
     for key in ("channels", "inputs"):
@@ -250,9 +248,7 @@ SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 
 class HeadTruth(FileModel):
-    """A simulated head: whether it is homed at switch-on (for an encoder: referenced), and whether it detects
-    stalling.
-    """
+    """A simulated head: whether it is homed (an encoder: referenced) at switch-on, and detects stalling."""
 
     homed: bool = True
     encoder: bool = True
@@ -395,8 +391,8 @@ class ChamberTruth(FileModel):
 
     The set point of the air moves at `rate`, and the air follows with the time constant `lag`. When the chamber is
     off, the air returns to ambient with the time constant `off_lag`. `sensor_noise` is the standard deviation of
-    the chamber's readings. With a period `ringing` the air overshoots the set point and rings. The block settles at
-    the air plus `room_share` of the difference between the room and the air, as the platform conducts heat.
+    the chamber's readings. With a period `ringing` the air overshoots the set point and rings. As the platform
+    conducts heat, the block settles at air + `room_share` · (room − air).
     """
 
     rate: Annotated[RateKS, above_zero(_NO_CHAMBER)] = 4.0 / 60.0
@@ -484,7 +480,7 @@ class LevelForm(DeviceSection):
 class ThermometerTruth(FileModel):
     """A simulated thermometer on the block: its error, its noise (1 σ) and its response to the air.
 
-    `air_share` is the fraction of the temperature difference between air and block that it shows.
+    Without error and noise it shows block + `air_share` · (air − block), all temperatures.
     """
 
     error: Annotated[float, reads(DIFFERENCE)] = 0.0
@@ -493,7 +489,7 @@ class ThermometerTruth(FileModel):
 
 
 class ThermometerForm(DeviceSection):
-    """The settings that all thermometers on the block have; each reading records the temperature shown.
+    """The settings that all thermometers have; each reading records the temperature shown.
 
     `gradient` is the largest temperature difference between thermometer and accelerometers, by default 0.2 K.
     Without a `certificate` the tolerance of the sensor type applies.

@@ -44,7 +44,7 @@ _BYTES_OF_SAMPLE: Final = 40
 def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
     """Return every reason why a plan cannot be carried out on a bench, one sentence each.
 
-    In a dry run, each prompt without a default is a reason, too, because nobody can answer it.
+    A dry run cannot answer a prompt without a default; such a prompt is then a reason, too.
     """
     return [*_installation_problems(plan, bench), *_reading_problems(plan, bench), *_scan_problems(plan, bench),
             *_turn_problems(plan, bench), *_signal_problems(plan, bench), *_temperature_problems(plan, bench),
@@ -231,7 +231,8 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
 def operator_actions(plan: Plan, bench: BenchFile) -> int:
     """Return the number of actions of the operator on this bench; motorised actions do not count.
 
-    Each thermometer that a person reads is read once more at each mounting.
+    At each mounting, every thermometer that a person reads counts as one action. If the block has no thermometer,
+    reading a chamber that a person sets counts as one.
     """
     chamber = bench.instruments.chamber
     turned = bench.instruments.head.turned_by_hand

@@ -167,8 +167,7 @@ Angle = Annotated[AngleRad, AfterValidator(_within_a_turn)]
 class LevelVerb(FileModel):
     """Read the level on the platform with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° `settings` times, because its setting error dominates the uncertainty of the zero offset
-    α2.
+    The head is set to 0° `settings` times, as its setting error dominates the uncertainty of the zero offset α2.
     """
 
     settings: Annotated[int, Field(ge=1, le=100)] = 1
@@ -183,7 +182,7 @@ class LevelSection(LevelVerb):
 
 
 class InstallationVerb(FileModel):
-    """Mount the block in an installation; `series` numbers the visits to it, automatically by default.
+    """Mount the block in an installation, as the visit number `series`; by default visits are counted.
 
     With `level` the platform is levelled first.
     """
@@ -417,8 +416,8 @@ def heating(
 class PowerVerb(ActionVerb):
     """Switch the block on, off, or off and on again: `power: on`, `power: {switch: cycle, off_for: 10 min}`.
 
-    In a cycle it stays off for `off_for`, and at least for the minimum in the bench file. Once on, it warms up for
-    `warm_up`, by default as stated in the bench file.
+    In a cycle the block stays off for `off_for`, and at least for the minimum in the bench file. Once on, the block
+    warms up for `warm_up`, by default as stated in the bench file.
     """
 
     switch: Switching

@@ -64,10 +64,10 @@ MOST_BYTES: Final = 10 * MEGABYTE
 """Largest size of the procedure file, which a program may have written; included files have a lower limit."""
 
 MOST_FILES: Final = 1_000
-"""The most included files; more count as a mistake."""
+"""The greatest number of included files; more files are a mistake."""
 
 MOST_DEEP: Final = 100
-"""The greatest depth of files that include each other."""
+"""The greatest depth to which files may include each other."""
 
 _TOO_DEEP: Final = "steps and included files are nested too deeply; nest fewer"
 
@@ -276,7 +276,7 @@ def _walk(steps: Any, place: Place) -> Iterator[tuple[Place, str, Any]]:
 
 
 MOST_STEPS: Final = 200_000
-"""The most steps of a plan; more count as a mistake in a file."""
+"""The greatest number of steps in a plan; more steps are a mistake in the file."""
 
 _DIRECTIONS: Final[Mapping[str, Direction]] = {"rising": 1, "falling": -1}
 _INPUTS: Final[Mapping[str, str]] = {"short": SHORTED, "reference": REFERENCE}

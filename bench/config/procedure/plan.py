@@ -101,7 +101,7 @@ class Plan:
     ) -> dict[str, float]:
         """Return the expected duration, s, of all steps of a kind, by kind, in the order of `counts`.
 
-        If the block is switched on before the first step, the time of switching counts under "power".
+        If the block is switched on before the first step, switching and warm-up count under "power".
         """
         total = dict.fromkeys(self.counts(), 0.0)
         for step in self.steps:

@@ -45,7 +45,7 @@ class OnFailure:
 
 @dataclass(frozen=True, slots=True)
 class OperatorTime:
-    """The expected times, s, of the operator: for a turn, a mounting, a task or an answer, an input change."""
+    """The operator's expected times, s: for a turn, a mounting, an answer or small task, an input change."""
 
     turn_s: float = 120.0
     mount_s: float = 1200.0
@@ -71,7 +71,7 @@ class AtBench(Protocol):
 
     @property
     def between_naps(self) -> Callable[[], None]:
-        """A function that handles the operator's wishes; a step calls it repeatedly while it waits."""
+        """A function that carries out the operator's commands; a step calls it repeatedly while it waits."""
         ...
 
     def watch_rails(self, key: str) -> None:
@@ -91,9 +91,9 @@ class ActionVerb(FileModel):
 class Step:
     """A step of a plan; each kind of step is a subclass.
 
-    `NAME` is the kind in counts and in JSON; `BY_OPERATOR` says whether it needs the operator on a bench without
-    motors. A kind in a separate module has a `VERB`, which is called `NAME` in procedure files. `BRINGS` is the
-    dataclass of its result, whose fields are recorded.
+    `NAME` is the kind in counts and in JSON; `BY_OPERATOR` says whether the step needs the operator on a bench
+    without motors. A kind in a separate module has a `VERB`, which is called `NAME` in procedure files. `BRINGS` is
+    the dataclass of the step's result; the fields of the result are recorded.
     """
 
     NAME: ClassVar[str] = ""
@@ -195,8 +195,8 @@ class Wait(Step):
 class Settle(Step):
     """The run waits until the signals or the temperature have settled; it fails after `timeout_s`.
 
-    A sample is taken every `interval_s`. The quantity has settled when the samples of the last `window_s` span no
-    more than `precision` (V for signals, K for temperature). The first sample must be older than this window.
+    A sample is taken every `interval_s`. The quantity has settled when the samples cover the last `window_s` and
+    span no more than `precision` (V for signals, K for temperature).
     """
 
     NAME: ClassVar[str] = "settle"
@@ -349,8 +349,8 @@ class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
     The head is set to 0° `settings` times. With `within_rad`, the platform is levelled before the next mounting
-    until its tilt is at most `within_rad`. Otherwise the tilt is only read, at the end of the mounting for which
-    the platform was levelled.
+    until its tilt is at most `within_rad`. Otherwise the tilt is only read. This happens at the end of the mounting
+    for which the platform was levelled.
     """
 
     NAME: ClassVar[str] = "level"
@@ -418,9 +418,7 @@ def precision_in_words(step: Settle) -> str:
 
 
 def scan_in_words(step: Read) -> str:
-    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; empty if none is
-    stated.
-    """
+    """Return the clause on the scan order, such as ", the channels in the order z, y, x"; "" without one."""
     return message(f", the channels in the order {', '.join(step.scan)}") if step.scan else ""
 
 
