@@ -55,7 +55,7 @@ class Job:
     pages: str = ""
 
     def request(self, run: str) -> Request:
-        """Return the request to analyse the run in the folder `run`."""
+        """Return the request that evaluates the run in the folder `run`."""
         model = None if self.model is None else Path(self.model)
         return Request([run], Path(run).parent, self.bench, model, self.g_m_s2, None, self.skip_bad_rows)
 

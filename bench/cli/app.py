@@ -55,9 +55,9 @@ def _program() -> Any:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its status; an error is reported on standard error, without a traceback.
+    """Run the command line and exit with its status; report an error on standard error, in one line.
 
-    `arguments` are those of `sys.argv` by default. With `--debug`, the traceback is printed as well.
+    `arguments` are those of `sys.argv` by default. With `--debug`, the traceback of an error is printed as well.
     """
     given = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in given

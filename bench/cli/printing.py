@@ -148,9 +148,10 @@ def write_beside(path: Path, text: str | bytes, *, asked: bool) -> bool:
 def write_result(
     source: Source, command: str, result: dict[str, Any], *, what_if: bool = False
 ) -> Path | None:
-    """Write the result of a command on a source to the usual file; return the file, None if it cannot be written.
+    """Write the result of a command on a source to its usual file; return the path of the file.
 
-    A result computed with options other than those of the run (`what_if`) has a separate file.
+    If the folder is not writable, raise `OSError` if the user named the folder (`--out`), else return None. A
+    result computed with options other than those of the run (`what_if`) has a separate file.
     """
     from bench.base.files import to_text
 

@@ -35,7 +35,7 @@ FORMAT: Final = "1"
 
 
 class EffectEntry(FileModel):
-    """An effect in a file: its name in the catalogue, its values, and the channels and mountings that it affects.
+    """An effect in a file: its name in the catalogue, its values, the channels and mountings affected.
 
     `either_of` lists the names of effects that the readings could not distinguish, this effect first; it is empty
     if there were none.

@@ -24,12 +24,18 @@ def shipped_folder(kind: str) -> Path:
 
 
 def find_procedure(name: str) -> Path:
-    """Return the path of a procedure, by path or shipped name. Raises `FileMistakes` for an unknown name."""
+    """Return the path of the procedure that `name` states as a path or a name. Raises `FileMistakes`.
+
+    A name selects a copy in the folder `procedures` of the working folder, or else a shipped procedure.
+    """
     return _find(name, PROCEDURES, "procedure")
 
 
 def find_bench(name: str) -> Path:
-    """Return the path of a bench file, by path or shipped name. Raises `FileMistakes` for an unknown name."""
+    """Return the path of the bench file that `name` states as a path or a name. Raises `FileMistakes`.
+
+    A name selects a copy in the folder `config` of the working folder, or else a shipped bench file.
+    """
     return _find(name, CONFIG, "bench file")
 
 

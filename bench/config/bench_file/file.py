@@ -359,7 +359,8 @@ def without(bench: BenchFile, names: Set[str]) -> BenchFile:
 def corrections_of(bench: BenchFile) -> Corrections:
     """Return the corrections of readings that the certificates of a bench state.
 
-    Gain and offset are the corrections of each channel's voltmeter on its range.
+    Gain and offset are the corrections of each channel's voltmeter on its range. Temperatures are corrected by the
+    certificate of the thermometer at the block, or, without such a thermometer, of the chamber.
     """
     gain, offset_v = dict.fromkeys(CHANNELS, 0.0), dict.fromkeys(CHANNELS, 0.0)
     for meter in bench.instruments.voltmeters:

@@ -197,7 +197,7 @@ class FaultSection(FileModel):
 
 
 class RoomTruth(FileModel):
-    """The simulated room: its temperature swings about `ambient_temperature`, and the meters follow with a lag."""
+    """The simulated room: its temperature swings by ± `swing` about `ambient_temperature`; the meters lag."""
 
     swing: SizeK = 0.0
     period: Annotated[SpanS, above_zero("state a period above 0, such as '24 h'")] = DAY_S

@@ -284,8 +284,8 @@ class StandSection(FileModel):
     """The stand errors: alpha1 to alpha4 and Delta U_M of the paper, and three more angles.
 
     By default the mounting roll has the limit of the mounting error, and the mounting offset is zero. `foundation`
-    is the change of the levelled platform's tilt in a day. If the platform is levelled during a run, the measured
-    values replace `axis_tilt` and `zero_offset` for that mounting.
+    limits the change of the levelled platform's tilt in a day. If the platform is levelled during a run, the
+    measured values replace `axis_tilt` and `zero_offset` for that mounting.
     """
 
     axis_tilt: AngleError

@@ -382,7 +382,7 @@ class Certificate(FileModel):
         return until
 
     def years_until(self, day: datetime.date) -> float:
-        """Return the time between the calibration and a day, in years; never negative."""
+        """Return the time between the calibration and a day, in years; positive also for an earlier day."""
         return abs((day - self.date).days) / DAYS_OF_YEAR
 
     @property

@@ -84,7 +84,7 @@ class ManualLevelSection(LevelForm):
 
 
 class ManualThermometerSection(TemperatureRange, ThermometerForm):
-    """A thermometer on the block, read by a person at each mounting; `tolerance` is its error limit."""
+    """A thermometer that a person reads at each mounting; `tolerance` is its error limit."""
 
     by_hand: ClassVar = True
     for_driver: ClassVar = (("minimum_c", "minimum"), ("maximum_c", "maximum"), "sensor")

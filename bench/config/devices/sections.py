@@ -278,8 +278,8 @@ class MotorisedHeadForm(HeadForm, WiredForm):
     """A motorised head, which never leaves the range from `minimum` to `maximum` of its scale.
 
     It approaches an angle from at least `backoff` away, from the side that the procedure demands. It has arrived
-    when all samples of its scale stay within `tolerance` for the time `settle`. A turn may take no longer than
-    `speed` allows.
+    when all samples of its scale stay within `tolerance` of the angle for the time `settle`. A turn may take no
+    longer than `speed` allows.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]
@@ -320,11 +320,11 @@ class MotorisedHeadForm(HeadForm, WiredForm):
 class ReadOutHeadForm(HeadForm, WiredForm):
     """A head that a person turns, with an encoder that the program reads.
 
-    The head approaches an angle from at least `backoff` away. It has arrived within `tolerance` when its angle
-    changed by no more than `rest` for the time `settle`. A change faster than `speed` is an error of the encoder.
-    With `hands_free`, the angle is read as soon as the head rests, without a confirmation by the person. With
-    `typed`, the person also types the angle on the scale. The encoder shows `zero` at 0° of the scale. If
-    `falling`, its values fall as the angle rises.
+    The head approaches an angle from at least `backoff` away. It has arrived when it is within `tolerance` of the
+    angle, and its reading has changed by no more than `rest` during the time `settle`. A change faster than `speed`
+    counts as an error of the encoder. With `hands_free`, the angle is read as soon as the head rests, without a
+    confirmation by the person. With `typed`, the person also types the angle on the scale. The encoder shows `zero`
+    at 0° of the scale. If `falling`, its values fall as the angle rises.
     """
 
     tolerance: Annotated[SizeRad, above_zero(_NO_HEAD)]

@@ -113,7 +113,7 @@ class Plan:
     def duration_by_mount_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected duration, s, of each visit to an installation, by its name: "1", "1 (series 2)", ….
+        """Return the expected duration, s, of each visit to an installation, by name: "1", "1 (series 2)".
 
         The time before the first mounting has the name "".
         """
