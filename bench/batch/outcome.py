@@ -33,7 +33,8 @@ _PARTS_OF_THE_LISTED: Final = (
 def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchResult:
     """Compute the pending runs of a batch; return the result for all its runs. `tell` receives notes.
 
-    Raises `Refused` for options that are invalid for every run, and if Ctrl-C ends the batch.
+    Raises `Refused` for options that are invalid for every run, for the folder of another batch, and if Ctrl-C ends
+    the batch.
     """
     job = job_of(request).checked()
     listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
@@ -86,7 +87,7 @@ def conclude(store: Store) -> BatchResult:
 
 
 Ask = Any
-"""A DuckDB connection with the view `changes`: one row for each listed run."""
+"""A DuckDB connection with the view `changes`: one row for each listed run that is done."""
 
 
 @contextmanager

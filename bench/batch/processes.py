@@ -236,8 +236,8 @@ def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
     The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as workers
-    need runs. Raises `Refused` if no scheduler answers, if it disconnects, or if a worker's program differs in its
-    versions or code.
+    need runs. Raises `Refused` if no scheduler answers, if it has no worker or disconnects, or if a worker's
+    program differs in its versions or code.
     """
     dask: Any = import_module("distributed")
 

@@ -176,7 +176,7 @@ class Store:
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
         """Record the job and its runs; return the runs still to be computed.
 
-        Raises `Refused` for the folder of another job.
+        Raises `Refused` if the folder has a batch of other options, other `over`, or another program.
         """
         asked = {
             "command": job.command,

@@ -236,7 +236,7 @@ def diagnose(
 def carried_out(request: Diagnose, target: str | None, *, together: bool) -> list[Diagnosed | Failed]:
     """Diagnose the sources, write their files and the JSON `target`, print and return the results.
 
-    With `together`, all sources are one body of readings.
+    With `together`, the readings of all sources are diagnosed as one set.
     """
     one_thread()
     from bench.services.bodies import single_bodies, whole_body

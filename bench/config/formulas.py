@@ -35,7 +35,7 @@ Known = dict[str, Dimension]
 
 
 def dimension_mistake(effect: FormulaEffect) -> str | None:
-    """Return a sentence if the formula's dimension is wrong for its stage; None if it is right."""
+    """Return a sentence if the formula's units contradict each other or its stage; None if they fit."""
     known: Known = {name: unit_of(_OF_VARIABLE.get(name, ""))[1] for name in variables_of(effect.stage)}
     known |= {p.name: unit_of("" if p.unit == "1" else p.unit)[1] for p in effect.parameters}
     wanted = unit_of("V" if effect.stage is Stage.VOLTMETER_READING else "")[1]

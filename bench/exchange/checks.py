@@ -84,10 +84,9 @@ def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
 
 
 def c_self_test(prefix: str, rows: Floats, call: str) -> str:
-    """Return the check vectors (20, m) and the function `<prefix>_self_test` in C.
+    """Return the check vectors `rows` (n, m) and the function `<prefix>_self_test` in C.
 
-    The last three columns of `rows` are the corrected accelerations; the statement `call` computes `a` from
-    `row`.
+    The last three columns of `rows` are the corrected accelerations; the statement `call` computes `a` from `row`.
     """
     listed = ",\n".join("    {" + ", ".join(double(value) for value in row) + "}" for row in rows)
     at = rows.shape[1] - 3

@@ -97,7 +97,7 @@ def can_come_about(
     """Raise `ValueError` for a criterion, such as of settling, that no samples can meet.
 
     To meet the criterion, the samples, one every `interval_s`, must vary by at most `size` during the time
-    `span_s`, before `timeout_s` has passed. In the message, `what` stands for the size and `span` for the time.
+    `span_s`, before `timeout_s` has passed. The message calls the size `what` and the time `span`.
     """
     if size <= 0.0:
         raise ValueError(f"the {what} is not above 0, but no two samples are equal; state one above 0")

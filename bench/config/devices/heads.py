@@ -149,7 +149,7 @@ class ZaberSection(MotorisedHeadForm):
         return self
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the simulation's options: address, step scale, speed, range of travel, homed state and encoder."""
+        """Return the simulation's options: address, step scale, speed, travel, homed state, encoder, device."""
         named = {"device_id": int(self.identity)} if self.identity.isdecimal() else {}
         return {
             **super().simulation_options(truth),

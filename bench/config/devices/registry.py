@@ -226,13 +226,13 @@ def _union(sections: tuple[type[DeviceSection], ...]) -> Any:
 
 
 RECORDED: Final = "recorded"
-"""The context of validation of a bench file that was recorded with a run."""
+"""The validation context for a bench file that was recorded with a run."""
 
 
 def chosen_by_driver(role: Role, *, name: str = "") -> BeforeValidator:
     """Return a validator that turns a section as written into the section class of its `driver`.
 
-    `name` is the default name of the instrument; if it is empty, the default is the name of the role.
+    `name` is the default name of the instrument; if it is empty, the section class has a default.
 
     An unknown driver gives one error only, which lists similar names or says why the driver could not be loaded. In
     the context `RECORDED`, the section of an unknown driver is kept as written.

@@ -51,7 +51,7 @@ TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.
 
 
 class SettleForm(ActionVerb):
-    """Criterion of settling: all samples in a `window` lie within `precision`.
+    """Criterion of settling: the samples in a `window` span no more than `precision`.
 
     A sample is taken every `interval`; settling fails if the criterion is not met by `timeout`.
     """
