@@ -89,8 +89,8 @@ class LivingOperator:
 
         If the task is to read a display, the prompt contains the displayed value. If the task is to turn a head
         with an encoder, the scripted operator answers; with a hands-free encoder, that operator turns the head
-        while the question is open. After an invalid or refusing answer the task is not carried out. Raises the
-        errors of the person's `ask`.
+        while the question is open. If the answer is invalid or no, the task is not carried out. Raises the errors
+        of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
