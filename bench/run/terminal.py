@@ -137,7 +137,7 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
 
 
 SLOW_TO_LEARN_S: Final = 1800.0
-"""Weight of the expected durations against the observed ones in the estimated pace, as bench time, s."""
+"""In the estimated pace, the expected durations count as much as this bench time, s, of observation."""
 
 
 class TimeLeft:
