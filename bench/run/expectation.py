@@ -248,13 +248,13 @@ class ExpectedSignals:
 class EarlySign:
     """A warning that a reading does not fit the earlier ones.
 
-    `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
-    expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
-    chance. `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does;
-    `kinds` are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
-    place of an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If
-    `confident`, the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault
-    (series, installation, pass, point).
+    `sentence` is the complete message. `sigma` are the residuals of x, y, z divided by their standard deviations;
+    `channels` are the channels with large residuals. `p` is the probability that chance causes so large a misfit.
+    `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does; `kinds`
+    are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the place of
+    an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
+    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
+    installation, pass, point).
     """
 
     sentence: str

@@ -138,7 +138,7 @@ class LiveSignals:
         self._recent: deque[tuple[float, tuple[float, ...]]] = deque()
 
     def attach(self, bench: Workbench) -> None:
-        """Sample the signals of this bench from now on."""
+        """Take the samples with the meters of this bench from now on."""
         self._bench = bench
 
     def observe(self, event: Event) -> None:

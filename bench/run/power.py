@@ -92,8 +92,8 @@ class UnitPower:
     def have_on(self, key: str) -> None:
         """Ensure that the block is on, with the settings and protections of the bench file.
 
-        A block that is on with these settings is left unchanged. If the settings differ, or only some rails are
-        on, the person is asked first. Raises `RailFault` or `BenchError`.
+        A block that is on with these settings is left unchanged. If the settings differ, or only some rails are on,
+        the person is asked before the block is switched off and on again. Raises `RailFault` or `BenchError`.
         """
         try:
             self.supply.set_up(self._settings(), key)

@@ -272,8 +272,8 @@ def pause_prompt(now_s: float) -> Prompt:
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
     """Ask how to continue after an early sign; return the reason for going on despite the sign.
 
-    Raises `OperatorWish` if the person chooses to repeat something, and `NoAnswer` with the sign's sentence if
-    nobody answers. `again` is explained at `halt_prompt`.
+    Raises `OperatorWish` if the person chooses to repeat something, `NoAnswer` with the sign's sentence if nobody
+    answers, and `BenchError` after `MOST_ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.
     """
     prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
@@ -327,7 +327,7 @@ class Redo:
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return the steps that the wish `wish`, received at step `index`, repeats.
 
-    Return None if no point was measured since the block was mounted.
+    Return None if no point was begun since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None

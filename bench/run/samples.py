@@ -125,7 +125,10 @@ _TIMING_S: Final = 1e-6
 
 @dataclass(frozen=True)
 class Criterion:
-    """The criterion by which a quantity counts as settled; `precision` is in the unit of the samples."""
+    """The criterion by which a quantity counts as settled.
+
+    The samples of the last `window_s`, s, must span at most `precision`, in the samples' unit.
+    """
 
     precision: float
     window_s: float

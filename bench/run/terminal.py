@@ -289,7 +289,7 @@ class TerminalPerson:
     def show_live(self, line: str) -> None:
         """Show a line above the one being typed, at a terminal; the cursor stays where it is.
 
-        After Enter the cursor is already one line below, and the typed answer must stay.
+        Once Enter was pressed, nothing is shown: the line above the cursor is then the typed answer.
         """
         if self._has_live_line and not self._reader.waits:
             cut = line[: max(self._console.width - 3, 0)]

@@ -248,7 +248,7 @@ def _recall(world: World, taken: Sequence[Reading]) -> None:
 
 
 LOOK_S: Final = 0.2
-"""Interval between two readings of the folder of runs, s."""
+"""Interval at which the folder of runs is searched for new prompts, s."""
 
 LAST_BYTES: Final = 1 << 16
 """Number of bytes read from the end of a record; they contain the open question."""

@@ -192,12 +192,12 @@ class PersonBehind:
 
 
 class CommissioningPerson(PersonBehind):
-    """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
+    """A `Person` for commissioning, who can type the wishes :skip REASON and :abort at any prompt."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Show the prompt and return the answer.
+        """Show the prompt and return the answer. Raises `Skipped` for :skip, and `SessionEnded` for :abort.
 
-        After a wish other than :skip or :abort, name the accepted wishes and show the prompt again.
+        After any other wish, name the accepted wishes and show the prompt again.
         """
         put = prompt
         while True:
