@@ -46,7 +46,7 @@ class Kind(StrEnum):
 
 
 LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
-"""Mistakes that persist until somebody corrects them; the others affect a single reading."""
+"""Mistakes that persist until somebody corrects them; mistakes of any other kind affect a single reading."""
 
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
 """Shifts of unknown size; they are not named if the likeliest mistake has a definite size."""
@@ -102,10 +102,10 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
+"""The matrix (3, 3) that turns the recorded signals into the true ones, by phrase on the wiring mistake."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
-"""The phrases of `CABLINGS` in which the wires of one channel are reversed."""
+"""The phrases of `CABLINGS` on reversed wires of one channel."""
 
 EXCHANGED_IN_TURN: Final = 4.0
 """Prior cost of three exchanged cables, which resemble a block in another orientation."""

@@ -133,7 +133,7 @@ class EarlyWarning:
 
     @property
     def noise(self) -> NoiseSizes:
-        """The standard deviations of a reading, by which readings are judged at present."""
+        """The present estimate of a reading's standard deviations."""
         return self._repeats.sizes
 
     def remounted(self) -> None:
@@ -143,7 +143,7 @@ class EarlyWarning:
         self._visits.clear()  # later differences come from the remounting, not from noise
 
     def strike(self, places: Collection[Place]) -> None:
-        """Forget the readings at `places`, which are to be repeated, and learn again from the others."""
+        """Forget the readings at `places`, because they are repeated; learn again from all other readings."""
         found = [sighting for place in places if (sighting := self._places.pop(place, None)) is not None]
         for sighting in found:
             sighting.struck = True

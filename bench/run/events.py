@@ -47,7 +47,7 @@ class DefaultRule(TypedDict):
 DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
 """The default decision rule, copied into each new record.
 
-A record without a default was begun when simple acceptance was the default.
+In a record without `default_rule`, the default is simple acceptance, as it was when the run began.
 """
 
 
@@ -154,7 +154,10 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def changed_inputs(folder: Path) -> list[str]:
-    """Return a sentence for each input that differs from the manifest. Raises `RecordError` without a manifest."""
+    """Return a sentence for each input that is missing or whose hash differs from the manifest.
+
+    Raises `RecordError` without a manifest.
+    """
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()

@@ -287,8 +287,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
     """Return the other possible orientations of a block on the platform, by sentences that describe them.
 
-    These orientations are installation `label` turned by quarter turns, without those that equal a known
-    installation.
+    They are installation `label` turned by quarter turns; orientations of known installations are left out.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])

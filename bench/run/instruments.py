@@ -107,14 +107,14 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 ROOM_C: Final = 23.0
 ROOM_K: Final = 10.0
-"""A room is expected within `ROOM_K` of `ROOM_C`; so is a block whose chamber was not set."""
+"""A room is expected within `ROOM_K` of `ROOM_C`, °C; so is a block whose chamber has no set point."""
 UNEXPECTED_K: Final = 5.0
 """Deviation, K, above which a typed temperature is questioned: ten times the limit of a usual thermometer."""
 
 
 @dataclass(frozen=True)
 class TemperatureCheck:
-    """Asks a person about an entered temperature that is far from the expected one, °C.
+    """Asks a person to confirm an entered temperature that is far from the expected one, °C.
 
     The expected temperature is `last_c`, the last one entered, or else the set point `demanded_c`, or else room
     temperature.

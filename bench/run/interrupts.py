@@ -94,7 +94,7 @@ class Interrupts:
         self._held = True
 
     def release(self, last_words: str) -> None:
-        """End the shutdown: the bench is safe, and the remaining work can be done at another time.
+        """End the shutdown once the bench is safe; the remaining work can be done at another time.
 
         `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` if a signal was
         received before.

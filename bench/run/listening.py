@@ -1,4 +1,4 @@
-"""What reaches a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
+"""Inputs of a run from outside: jumps of the computer's clock, the operator's wishes and answers."""
 
 from __future__ import annotations
 

@@ -75,7 +75,7 @@ def at_the_shell(where: str) -> WishAuthor:
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish with its reason and author; `by_person` marks a wish of the person at the prompt."""
+    """A wish (the operator's command) with reason and author; `by_person` marks a wish given at the prompt."""
 
     wish: Wish
     reason: str = ""
@@ -363,8 +363,8 @@ class OpenPrompt:
 def problem_with_answer(prompt: Prompt, text: str) -> str:
     """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
 
-    An empty answer selects the prompt's default, if any. Values read from a scale or a display are checked by
-    the rules of the driver that asks. The function has no side effects, so it can be called during typing.
+    An empty answer selects the prompt's default, if any. For a value read from a scale or a display, the rules of
+    the driver that asks apply. The function has no side effects, so it can be called during typing.
     """
     given = text.strip() or prompt.default or ""
     try:

@@ -312,7 +312,7 @@ class Record:
         now: Callable[[], datetime],
         shield: Shield = nullcontext,
     ) -> Record:
-        """Create the run's folder with its inputs, all on disk before this returns; return its record.
+        """Create the run's folder with its inputs, force all to disk, and return the run's record.
 
         `inputs` holds the files' contents by name. Raises `RecordError` if the folder exists or cannot be written.
         """

@@ -189,7 +189,7 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 
 def end_of_point(plan: Plan, step: int) -> int:
-    """Return the index after the last step of the point to which `step` belongs."""
+    """Return the index of the step that follows the point of `step`, or the number of steps."""
     after = range(step + 1, len(plan.steps))
     return next((i for i in after if isinstance(plan.steps[i], Turn | ENDS_A_POINT)), len(plan.steps))
 

@@ -116,7 +116,7 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return help text on what can be typed; if `wishes` is a mapping, its values replace `MEANINGS`."""
+    """Return help text on what can be typed; a mapping `wishes` gives its own meanings, not `MEANINGS`."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
@@ -168,7 +168,7 @@ class TimeLeft:
     def at(self, index: int, bench_s: float) -> float:
         """Return the estimated time left, s, if step `index` starts at bench time `bench_s`.
 
-        Without `begin`, the first call sets the step and time from which the pace is measured.
+        Without `begin`, the pace is measured from the first call on.
         """
         if self._begun is None:
             self._begun = (index, bench_s)

@@ -232,7 +232,7 @@ def check_noise(evening: CommissioningSession) -> None:
 
 
 class SharedReading:
-    """A reading of `samples` samples by all voltmeters, which start together."""
+    """A reading of `samples` samples of each channel; all voltmeters start together."""
 
     def __init__(self, evening: CommissioningSession, samples: int) -> None:
         self._evening = evening

@@ -133,7 +133,7 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return a mark of this moment, from which `exchanges` and `failures` count."""
+        """Return a mark of this moment; `exchanges` and `failures` return what follows it."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
