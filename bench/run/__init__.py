@@ -1,1 +1,1 @@
-"""Runs: carry out, record, watch and resume a plan on a bench; assemble and commission the instruments."""
+"""Runs: a plan carried out on a bench, recorded, watched, resumed; instruments assembled and commissioned."""

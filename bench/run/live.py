@@ -40,7 +40,7 @@ QUIET_G: Final = 3e-4
 """A scatter above this, g, counts as motion; the noise of quick samples on the 10 V range is a third of it."""
 
 TELLING_ARCSEC: Final = 60.0
-"""Largest expanded uncertainty (k = 2) of a displayed deviation from the commanded angle: a scale division."""
+"""Largest expanded uncertainty (k = 2) of a shown deviation from the commanded angle: a scale division."""
 
 LINEAR_ARCSEC: Final = 3600.0
 """Up to this deviation, the error of its linear estimate is below 1 %."""

@@ -75,7 +75,7 @@ def at_the_shell(where: str) -> WishAuthor:
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish (the operator's command) with reason and author; `by_person` marks a wish given at the prompt."""
+    """A wish (an operator's command), its reason and author; `by_person` marks a wish given at the prompt."""
 
     wish: Wish
     reason: str = ""
