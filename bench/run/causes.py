@@ -538,7 +538,7 @@ class Confidence:
     def went_on(self, sighting: Sighting) -> None:
         """Accept the lasting mistakes that were just named, because a person continued despite them.
 
-        Until a reading fits or the block is mounted again, no misfit stops the run.
+        No misfit stops the run until a reading fits or is repeated, or until the block is mounted again.
         """
         self._silent = True
         for kind in self._last:
