@@ -1,4 +1,4 @@
-"""The common mistakes that may explain a reading that does not fit, and the decision whether to stop the run."""
+"""Common mistakes that explain a misfit of a reading, and the decision whether to stop the run."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from drivers.angles import format_dms, wrapped_rad
 
 
 class Kind(StrEnum):
-    """Kinds of mistakes; an early sign records the kinds beside its sentence."""
+    """The kinds of mistakes that an early sign can name."""
 
     CABLING = "cabling"
     ROTATION = "rotation"
@@ -46,16 +46,16 @@ class Kind(StrEnum):
 
 
 LASTING: Final = frozenset({Kind.CABLING, Kind.ROTATION, Kind.INSTALLATION, Kind.ORIENTATION})
-"""Mistakes that persist until somebody corrects them; the others affect a single reading."""
+"""Mistakes that persist until somebody corrects them; mistakes of any other kind affect a single reading."""
 
 FREE: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL})
-"""Shifts of unknown size; they are dropped if a mistake of definite size is the likeliest."""
+"""Shifts of unknown size; they are not named if the likeliest mistake has a definite size."""
 
 UNLIKELY: Final[Mapping[str, float]] = {Kind.ORIENTATION: 5.0, Kind.SLIP: 1.0, Kind.EARLIER: 2.0}
-"""Prior cost of each kind: -2 ln of the odds relative to the most common mistakes."""
+"""Prior cost of each rarer kind: -2 ln of the odds relative to the most common mistakes."""
 
 FIRST_ORIENTATION: Final = 3.0
-"""Additional prior cost in the first mounting, where wrong cables and a wrong orientation look the same."""
+"""Additional prior cost of another orientation in the first mounting, where wrong cables look the same."""
 
 OTHER_INSTALLATION: Final = 4.0
 """Prior cost of an installation other than that of the previous mounting."""
@@ -102,10 +102,10 @@ def _said(wiring: Wiring) -> str:
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
-"""Possible wiring mistakes, each with the matrix (3, 3) that turns the recorded signals into the true ones."""
+"""The matrix (3, 3) that turns the recorded signals into the true ones, by phrase on the wiring mistake."""
 
 REVERSALS: Final = frozenset(_said(wiring) for wiring in REVERSED)
-"""The phrases of `CABLINGS` in which the wires of one channel are reversed."""
+"""The phrases of `CABLINGS` on reversed wires of one channel."""
 
 EXCHANGED_IN_TURN: Final = 4.0
 """Prior cost of three exchanged cables, which resemble a block in another orientation."""
@@ -178,7 +178,7 @@ def head_elsewhere(
 
 
 SHIFTS: Final = 5
-"""Number of shifts of unknown size: block turned about the shaft, block tilted, and each of three channels off."""
+"""Number of shifts of unknown size: the block turned about the shaft or tilted, or an offset of x, y or z."""
 
 AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 """Special values of a shift number: the reading is used as recorded, or left out."""
@@ -188,9 +188,9 @@ AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 class Suspect:
     """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
-    `earlier` is the index of the earlier reading at fault, if any. `moved_rad`, with standard uncertainty `u_rad`,
-    is the angle by which head or block is off, if that is the mistake. `stops` says that no genuine effect
-    resembles this mistake, so that it may stop the run; `free` says that the mistake is a shift of unknown size.
+    `earlier` is the index of the earlier reading at fault, if any. If head or block is supposed at a wrong angle,
+    `moved_rad` is the deviation and `u_rad` its standard uncertainty. `stops` says that the mistake may stop the
+    run, because no genuine effect resembles it. `free` says that the mistake is a shift of unknown size.
     """
 
     text: str
@@ -205,10 +205,11 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A mistake supposed in a replay: at all readings from number `since` on, or at the single reading `reading`.
+    """A mistake supposed in a replay of the readings.
 
-    `cabling` (3, 3) corrects the signals. `pose` is an index into the sighting's `poses`. `shift` is the number of
-    a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
+    `cabling` (3, 3) corrects the signals of all readings. `pose`, an index into a sighting's `poses`, applies from
+    reading number `since` on, or only at the reading `reading` if that is stated. At this reading, `shift` is the
+    number of a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
     """
 
     supposed: Supposition
@@ -229,7 +230,7 @@ class Member:
 
 @dataclass(frozen=True)
 class ReplayedReadings:
-    """The result of replaying all n readings for each of m members, that is, under each of m supposed mistakes.
+    """The result of replaying n readings under m supposed mistakes ("members").
 
     `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
     likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
@@ -254,7 +255,7 @@ LARGE_G: Final = 0.02
 """Least slip (rad) and channel error (g) that stop a run; no genuine effect of a block or a stand is as large."""
 
 FEW: Final = 4
-"""Number of readings of a mounting that establish the block's orientation; for later ones no other is supposed."""
+"""Another orientation of the block is supposed only up to this number of readings on a mounting."""
 
 MOST_CANDIDATES: Final = 12
 """Greatest number of earlier readings tested for a mistake at once; it limits the computing time in a long run."""
@@ -268,10 +269,10 @@ AS_RECORDED: Final = Member(Supposition("", Kind.EARLIER))
 class Inquiry:
     """The search for the mistakes that explain a reading.
 
-    `model` contains the procedure's installations and other possible orientations of the block; `otherwise` lists,
-    by installation, the labels of these orientations. `nominal` is the nominal block, `prior` the `Expectation`
-    before the first reading. `stand_u` are the standard uncertainties of the stand, `noise` the noise sizes, and
-    `most` is the largest chi2 that counts as a fit.
+    `model` contains the procedure's installations and the other possible orientations of the block. `otherwise`
+    maps each installation to the labels of its other orientations. `nominal` is the nominal block, `prior` the
+    `Expectation` before the first reading. `stand_u` are the standard uncertainties of the stand, and `noise` the
+    standard deviations of a reading. A reading fits if its chi2 is at most `most`.
     """
 
     model: ForwardModel
@@ -287,7 +288,8 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` is the expectation with a single member; `before` is the cost (-2 ln likelihood) before it.
+        `state` is the expectation, with one member, from the earlier readings; `before` is the cost (-2 ln
+        likelihood) of these readings.
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -425,8 +427,8 @@ class Inquiry:
     ) -> ReplayedReadings:
         """Replay all readings for each member, that is, for each supposed mistake.
 
-        The default is one member that uses the readings as recorded. If a member leaves a reading out, this
-        reading adds as much to the cost (-2 ln likelihood) as one that does not fit.
+        The default is one member that uses the readings as recorded. A reading that a member leaves out costs this
+        member (-2 ln likelihood) as much as a reading that does not fit.
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
@@ -496,8 +498,8 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the likeliest suspect, and the suspects that the readings cannot distinguish from it.
 
-    Of several suspects with the same text, only the likeliest is returned. Suspects of unknown size are left out if
-    the likeliest suspect has a definite size.
+    Of suspects with the same text, only the likeliest is returned. If the likeliest suspect of all has a definite
+    size, shifts of unknown size are left out.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
@@ -511,7 +513,7 @@ STOP_ALARM: Final = 1e-6
 """Probability that a run on a good bench is stopped because of a misfit by chance alone."""
 
 CLEARLY: Final = 5.0
-"""A mistake stops the run only if its misfit, in volts, is this many times the largest unexplained misfit."""
+"""A mistake stops the run only if the misfit, V, is at least this multiple of the largest unexplained one."""
 
 
 class Confidence:
@@ -526,15 +528,18 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Forget the accepted mistakes and the undecided reading, because the block was mounted again."""
+        """Allow stops again and forget the undecided reading, because the block was mounted again."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:
-        """Forget the undecided reading and the unexplained misfits, because readings are repeated."""
+        """Allow stops again; forget undecided and unexplained misfits, because readings are repeated."""
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Note that a person continued despite the mistakes just named, and so accepted the lasting ones."""
+        """Accept the lasting mistakes that were just named, because a person continued despite them.
+
+        No misfit stops the run until a reading fits or is repeated, or until the block is mounted again.
+        """
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
@@ -546,8 +551,8 @@ class Confidence:
     ) -> bool:
         """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
-        `chi2` and `off_v` (V) are the size of the misfit; `in_a_row` is the number of consecutive readings that did
-        not fit.
+        `chi2` is that of the residuals, `off_v` their Euclidean norm, V. `in_a_row` is the number of consecutive
+        readings that did not fit.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -567,7 +572,7 @@ class Confidence:
     def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
         """Return whether to stop the run because `causes` show a mistake in an earlier reading.
 
-        `chi2` and `off_v` (V) are the size of the misfit.
+        `chi2` is that of the present reading's residuals, `off_v` their Euclidean norm, V.
         """
         if not causes or not all(cause.stops for cause in causes):
             self._unexplained_v = max(self._unexplained_v, off_v)
@@ -577,9 +582,9 @@ class Confidence:
         return self._stopped_for(causes)
 
     def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Note a reading that fits; return the undecided reading before it and its causes, or None.
+        """Note a reading that fits; return the undecided reading that it proves wrong, with causes, or None.
 
-        The fit of the present reading shows that the undecided reading was wrong.
+        An undecided reading did not fit, but did not stop the run, because several mistakes explained it.
         """
         self._silent = False
         before, self._undecided = self._undecided, None

@@ -40,7 +40,7 @@ from drivers.angles import format_dms
 SCALE_FACTOR_U: Final = 0.03
 CROSS_AXIS_U: Final = 0.03
 BIAS_U_G: Final = 0.3
-"""Prior standard deviations about the nominal block: of K (two) relative to its scale factors, of the bias in g."""
+"""Prior standard deviations: of K's diagonal and other elements, relative to K's diagonal; of the bias, g."""
 
 FALSE_ALARM: Final = 0.005
 """Probability that a whole run on a good bench raises any warning."""
@@ -53,7 +53,7 @@ BIAS_PER_ROOT_HOUR_G: Final = 30e-6
 SCALE_PER_ROOT_HOUR: Final = 20e-6
 BIAS_PER_KELVIN_G: Final = 180e-6
 SCALE_PER_KELVIN: Final = 300e-6
-"""The five constants above are changes of a good block, 1 σ; those per kelvin are thrice the plausible size."""
+"""Standard deviations of changes of a good block (five constants); per kelvin, thrice the plausible ones."""
 
 TEMPERATURE_STEP_K: Final = 0.5
 """Least change of temperature that is taken into account, K; a smaller one may be the thermometer's noise."""
@@ -68,7 +68,7 @@ LEAST_NOISE_G: Final = 10e-6
 """Smallest noise assumed (in g), even if the bench file states no voltmeter error."""
 
 POORLY_KNOWN: Final = 3.0
-"""If the u of an expectation exceeds this multiple of a reading's noise, a mistake may go unnoticed."""
+"""If a residual's standard deviation exceeds this multiple of the noise, a mistake may go unnoticed."""
 
 Place = tuple[int, str, int, int]
 """The identity of a reading: series, installation, pass and point."""
@@ -84,9 +84,9 @@ MOST_LISTED: Final = 3
 class EarlyWarning:
     """The early warning of a run: judges each reading, and observes the run's events.
 
-    `nominal_v_g` are the block's nominal scale factors with their signs, V/g. `stand_u` are the standard
-    uncertainties of the stand's angles (rad), of "setting_error" (rad) and "voltmeter_error" (V). `readings` is the
-    number of readings of the whole run. `following` maps the place of a reading to the head angle (rad) of the next
+    `nominal_v_g` are the block's nominal scale factors with their signs, V/g. `stand_u` maps the stand's angles
+    (rad), "setting_error" (rad) and "voltmeter_error" (V) to their standard uncertainties. `readings` is the number
+    of readings of the whole run. `following` maps the place of a reading to the head angle (rad) of the next
     reading on the same mounting.
 
     The model does not learn from a reading that does not fit. One mistake therefore does not spoil later
@@ -133,7 +133,7 @@ class EarlyWarning:
 
     @property
     def noise(self) -> NoiseSizes:
-        """The noise sizes by which readings are judged at present."""
+        """The present estimate of a reading's standard deviations."""
         return self._repeats.sizes
 
     def remounted(self) -> None:
@@ -143,7 +143,7 @@ class EarlyWarning:
         self._visits.clear()  # later differences come from the remounting, not from noise
 
     def strike(self, places: Collection[Place]) -> None:
-        """Forget the readings at `places`, which are to be repeated, and learn again from the others."""
+        """Forget the readings at `places`, because they are repeated; learn again from all other readings."""
         found = [sighting for place in places if (sighting := self._places.pop(place, None)) is not None]
         for sighting in found:
             sighting.struck = True
@@ -158,13 +158,13 @@ class EarlyWarning:
             self._confidence.went_on(self._history[-1])
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Return the judgement of a hypothetical reading; the model does not learn from it."""
+        """Judge a hypothetical reading without learning from it."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
 
     def expect(self, reading: Reading) -> ExpectedSignals | None:
-        """Return the signals expected at a reading not yet taken; None if its orientation is unknown."""
+        """Return the signals expected at a planned reading; None if the block's orientation is unknown."""
         if reading.angle_deg is None or reading.installation not in self._oriented:
             return None
         ahead = copy.deepcopy(self)
@@ -177,8 +177,8 @@ class EarlyWarning:
     def take(self, reading: Reading) -> list[EarlySign]:
         """Judge a reading and learn from it; return the early signs, usually none.
 
-        Readings without a known orientation (free, shorted, reference; no angle; an installation that the
-        model lacks) are ignored. A repeated reading replaces the earlier one.
+        A reading without a known orientation of the block is ignored: no head angle, or an installation that is
+        free, shorted, reference or missing in the model. A repeated reading replaces the earlier one.
         """
         self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:
@@ -430,10 +430,10 @@ class EarlyWarning:
                 self.went_on()
 
     def recall(self, taken: Sequence[tuple[int, Reading] | None], progress: PlanProgress) -> None:
-        """Learn from the recorded readings of a resumed run; `taken` holds (step, reading) in order.
+        """Learn from the recorded readings of a resumed run.
 
-        None in `taken` marks a remounting of the block. Readings that were repeated, or will be repeated, are
-        ignored.
+        `taken` holds (step, reading) in the order of measurement, and None for each remounting of the block.
+        Readings that were repeated, or will be repeated, are ignored.
         """
         last = {one[0]: number for number, one in enumerate(taken) if one is not None}
         for number, one in enumerate(taken):

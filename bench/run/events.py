@@ -30,7 +30,7 @@ class UnitUnderTest(TypedDict):
 
 
 class VerdictAsked(TypedDict, total=False):
-    """The decision settings that the command line states; they override those of the bench file."""
+    """The decision settings stated on the command line; they override those of the bench file."""
 
     limit_g: float
     rule: str
@@ -47,7 +47,7 @@ class DefaultRule(TypedDict):
 DEFAULT_RULE: Final[DefaultRule] = {"rule": "non-binary", "false_acceptance": 0.05}
 """The default decision rule, copied into each new record.
 
-A record without a default was begun when simple acceptance was the default.
+In a record without `default_rule`, the default is simple acceptance, as it was when the run began.
 """
 
 
@@ -68,7 +68,7 @@ class CheckedBefore(TypedDict, total=False):
 
 
 class OperatorPerson(TypedDict):
-    """The operator's entry in the laboratory's register of persons; `register` is the hash of its last line."""
+    """The operator's entry in the register of persons; `register` is the hash of the register's last line."""
 
     role: str
     may: list[str]
@@ -154,7 +154,10 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def changed_inputs(folder: Path) -> list[str]:
-    """Return a sentence for each input that differs from the manifest. Raises `RecordError` without a manifest."""
+    """Return a sentence for each input that is missing or whose hash differs from the manifest.
+
+    Raises `RecordError` without a manifest.
+    """
     return [
         f"{name} was changed since the run began"
         for name, digest in read_manifest(folder).get("files", {}).items()
@@ -217,7 +220,8 @@ class Answered:
 class Powered:
     """The block was switched: "on", "off" or "cycle".
 
-    The other fields are the duration of the warm-up, s, and the signals at its end, V.
+    `warmed_up_s` is the time from switching on to the end of the warm-up, s, None for "off"; `warmed_up_at` are the
+    signals then, V, if the warm-up waited for them to settle.
     """
 
     switched: str
@@ -231,8 +235,8 @@ class Levelled:
 
     `level_of` (installation) and `level_series` identify the mounting. `adjusted` says whether the platform was
     levelled first or left as found. `level_zero_arcsec` is the level's own zero along and across the shaft. Each
-    row of `level_readings` holds the head angle, then the level's readings along and across in the first and in the
-    turned position, arcsec.
+    row of `level_readings`, arcsec, holds the head angle, then the readings along and across: with the level in its
+    first position, then with the level turned.
     """
 
     level_of: str
@@ -290,7 +294,7 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 class EventType(StrEnum):
     """The types of events; the docstring of each describes the fields of `Event.data`.
 
-    An event caused by a wish states the author in `by`, `role` and `where`, as far as known.
+    An event caused by a wish states the author of the wish in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"
@@ -403,7 +407,7 @@ _NUMBERS: Final = frozenset({int, float})
 
 @dataclass(frozen=True)
 class Event:
-    """One line of the record: number, civil time, bench time since the run began in s, type, and data.
+    """One line of the record: number, civil time, bench time (s since the run began), type, and data.
 
     `type` is an `EventType`, or an unknown type written by a later version.
     """

@@ -24,15 +24,15 @@ SETTING: Final = len(STAND_ANGLES)
 STATE: Final = COEFFICIENT_COUNT + len(STAND_ANGLES)
 
 STATED_WORTH: Final = 12.0
-"""Weight of the stated noise sizes, in degrees of freedom of repeats."""
+"""Degrees of freedom with which the stated standard deviations count against those of repeats."""
 
 
 class ExpectedPose(NamedTuple):
     """The effect of gravity on the block at one reading.
 
-    `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are its derivatives
-    with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is the sum of the
-    effects in the model, V.
+    `force` (…, 3) is the specific force in g on a stand without errors. `slopes` (…, 3, 6) are the derivatives of
+    `force` with respect to the stand's angles and the setting error, g/rad. `addition` (…, 3) is what the model's
+    effects add to the signals, V.
     """
 
     force: Floats
@@ -43,9 +43,9 @@ class ExpectedPose(NamedTuple):
 def poses(
     model: ForwardModel, block: Block, row: Conditions, installations: Sequence[str], angle_rad: Floats
 ) -> ExpectedPose:
-    """Return the poses of one reading for v combinations of installation and head angle, rad (first axis v).
+    """Return the poses of one reading for v pairs of installation and head angle, rad (first axis v).
 
-    `row` has the conditions of the reading. Effects that depend on the block are evaluated at `block`. Raises
+    `row` holds the conditions of the reading. Effects that depend on the block are evaluated at `block`. Raises
     `KeyError` for an installation that the model lacks.
     """
     variants, columns = len(angle_rad), SETTING + 2
@@ -78,10 +78,10 @@ class NoiseSizes:
 
 
 class RepeatNoise:
-    """The noise sizes estimated from repeats, never below the sizes stated in the bench file.
+    """The standard deviations of a reading from repeats, never below those stated in the bench file.
 
-    The stated sizes include errors that repeats do not reveal (the meters' gain, the head's graduation). In the
-    estimate, the stated sizes count as much as repeats with `STATED_WORTH` degrees of freedom.
+    The stated values include errors that repeats do not reveal (the meters' gain, the head's graduation). In the
+    estimate, they count as much as repeats with `STATED_WORTH` degrees of freedom.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -90,9 +90,10 @@ class RepeatNoise:
         self._across_v2, self._along_rad2, self._repeats = 0.0, 0.0, 0
 
     def add(self, difference_v: Floats, slope: Floats) -> None:
-        """Add the difference (3,) of a repeat from the earlier reading, V; `slope` (3,): d signal/d angle, V/rad.
+        """Update the estimate with a repeat that deviates by `difference_v` (3,) from the earlier reading, V.
 
-        Along the slope both noise sizes contribute, in the two perpendicular directions only the signals' noise.
+        `slope` (3,) is d signal/d angle, V/rad. Along it, noise of the signals and of the head's setting add up; in
+        the two perpendicular directions, there is only noise of the signals.
         """
         length = float(np.linalg.norm(slope))
         along2 = (float(difference_v @ slope) / length) ** 2 / 2
@@ -111,7 +112,7 @@ class RepeatNoise:
 class ReadingJudgement(NamedTuple):
     """The comparison of a reading with its expectation, for each of m members (supposed mistakes).
 
-    `residual` (m, 3) is in V; `covariance` (m, 3, 3) is that of the residual, `log_det` (m,) the logarithm of its
+    `residual` (m, 3), V, has the covariance matrix `covariance` (m, 3, 3); `log_det` (m,) is the logarithm of the
     determinant. `chi2` (m,) has three degrees of freedom. `design` (m, 3, 17) holds the derivatives of the signals
     with respect to the state.
     """
@@ -133,7 +134,7 @@ class ReadingJudgement(NamedTuple):
         return float(chdtrc(3, self.chi2[0]))
 
     def cost(self, most: float) -> Floats:
-        """Minus twice the log likelihood up to a constant, shape (m,); chi2 counts at most as `most`."""
+        """Return -2 ln likelihood up to a constant, shape (m,); a chi2 above `most` counts as `most`."""
         return np.minimum(self.chi2, most) + self.log_det
 
 
@@ -141,7 +142,8 @@ class ReadingJudgement(NamedTuple):
 class Expectation:
     """The states of m Kalman filters ("members"); each member supposes a different mistake, or none.
 
-    `mean` (m, 17) and `covariance` (m, 17, 17) have the 12 coefficients (V/g, V), then the 5 stand angles (rad).
+    A state is the 12 coefficients (V/g, V), then the 5 stand angles (rad), with its `mean` (m, 17) and its
+    `covariance` (m, 17, 17).
     """
 
     mean: Floats
@@ -170,7 +172,7 @@ class Expectation:
         return self.mean[:, :9].reshape(-1, 3, 3)
 
     def remount(self, stand_u: Mapping[str, float]) -> None:
-        """Reset the stand's angles for a new mounting; their standard uncertainties become `stand_u`."""
+        """Reset the stand's angles to 0, with standard uncertainties `stand_u`, rad, for a new mounting."""
         self.mean[:, COEFFICIENT_COUNT:] = 0.0
         self.covariance[:, COEFFICIENT_COUNT:, :] = 0.0
         self.covariance[:, :, COEFFICIENT_COUNT:] = 0.0
@@ -193,7 +195,7 @@ class Expectation:
     ) -> ReadingJudgement:
         """Compare a reading, signals (3,) or (m, 3) in V, with its expectation.
 
-        `further` (m, 3) is the standard deviation of an additional error of the reading, V.
+        `further` (m, 3) is the standard deviation of an additional error, V, fully correlated between the signals.
         """
         angles = self.mean[:, COEFFICIENT_COUNT:, None]
         force = pose.force + (pose.slopes[..., :SETTING] @ angles)[..., 0]
@@ -212,7 +214,7 @@ class Expectation:
         return ReadingJudgement(residual, covariance, chi2, np.linalg.slogdet(covariance)[1], design)
 
     def take(self, judged: ReadingJudgement, members: Mask | None = None) -> None:
-        """Update the states with a judged reading; if the mask `members` (m,) is given, only the states in it."""
+        """Update the states with a judged reading; a mask `members` (m,) selects the states to update."""
         across = self.covariance @ np.swapaxes(judged.design, 1, 2)
         gain = np.swapaxes(np.linalg.solve(judged.covariance, np.swapaxes(across, 1, 2)), 1, 2)
         if members is not None:
@@ -231,7 +233,10 @@ class ExpectedSignals:
     covariance: Floats
 
     def deviation_rad(self, signals: Floats) -> tuple[float, float]:
-        """Return the head's deviation from the commanded angle by `signals` (3,), V, and its u, rad."""
+        """Return the head's deviation from the commanded angle and its standard uncertainty, rad.
+
+        `signals` (3,) are the measured signals, V. If they do not depend on the angle, the result is (0, inf).
+        """
         weighted = np.linalg.solve(self.covariance, self.slope)
         information = float(self.slope @ weighted)
         if information <= 0.0:
@@ -243,13 +248,13 @@ class ExpectedSignals:
 class EarlySign:
     """A warning that a reading does not fit the earlier ones.
 
-    `sentence` is the complete message. `sigma` are the residuals of x, y, z in standard deviations of the
-    expectation; `channels` are the channels with large residuals. `p` is the probability of so large a misfit by
-    chance. `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does;
-    `kinds` are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the
-    place of an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If
-    `confident`, the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault
-    (series, installation, pass, point).
+    `sentence` is the complete message. `sigma` are the residuals of x, y, z divided by their standard deviations;
+    `channels` are the channels with large residuals. `p` is the probability that chance causes so large a misfit.
+    `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does; `kinds`
+    are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the place of
+    an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
+    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
+    installation, pass, point).
     """
 
     sentence: str
@@ -280,10 +285,9 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other possible orientations of a block on the platform, each under a sentence that describes it.
+    """Return the other possible orientations of a block on the platform, by sentences that describe them.
 
-    These orientations are installation `label` turned by quarter turns, without those that equal a known
-    installation.
+    They are installation `label` turned by quarter turns; orientations of known installations are left out.
     """
     own = installations[label].block_from_platform
     known = np.array([other.block_from_platform for other in installations.values()])
@@ -307,13 +311,13 @@ class Sighting:
 
     `new_mount` says that the block was mounted just before the reading. `loosened` (12,) are the variances by
     which the coefficients may have changed since the previous reading. `taken` means that the model has learnt
-    from the reading; `poorly_known`, that the model was too uncertain to reveal a mistake in it; `struck`, that
-    the reading is known to be wrong or was repeated.
+    from the reading. `poorly_known` means that the model was too uncertain to reveal a mistake in the reading.
+    `struck` means that the reading is known to be wrong or was repeated.
 
     `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
     installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation
-    of the previous mounting. `last_rad` is the head angle at the previous reading on this mounting, `pivot_rad` at
-    the last reading that fitted, `next_rad` at the next reading; each is None if there is no such reading.
+    of the previous mounting. The following are head angles, rad, or None without such a reading: `last_rad` at the
+    previous reading on this mounting, `pivot_rad` at the last one that fitted, `next_rad` at the next reading.
     """
 
     place: str

@@ -183,7 +183,8 @@ class Run:
 def statement_in(verdict: Mapping[str, Any]) -> str:
     """Return the statement of conformity in a result of `verify` or in one of its points.
 
-    For results of earlier versions, which have no statement, the result is "pass" or "fail". Raises `KeyError`.
+    Results of earlier versions have no statement; for them, return "pass" or "fail". Raises `KeyError` if neither
+    is stated.
     """
     return str(verdict.get("statement") or ("pass" if verdict["passed"] else "fail"))
 
@@ -234,7 +235,7 @@ A file changed more recently may change again without a new time stamp.
 Stamp = list[list[Any]]
 """The state of a run's files: one row per file.
 
-A row holds the file's name, size, times of its contents and of its entry (ns), device and inode.
+A row holds the file's name, size, times of the last change of content and of status (ns), device and inode.
 """
 
 

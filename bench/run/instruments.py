@@ -32,8 +32,9 @@ from drivers.person import Person, Prompt, PromptKind
 class Instruments:
     """The instruments of a bench as the runner uses them. Each of x, y, z is measured by exactly one voltmeter.
 
-    `around` maps a column of the readings to the thermometer of the meters or room; "chamber" means its air.
-    `opened` holds the names of the instruments opened so far; other instruments may be in use by another program.
+    `around` maps each temperature column of the readings (meters, room) to its thermometer, or to "chamber" for the
+    chamber's air. `opened` holds the names of the instruments opened so far; other instruments may be in use by
+    another program.
     """
 
     voltmeters: Sequence[Voltmeter]
@@ -57,7 +58,7 @@ class Instruments:
     def open(self) -> dict[str, Identity]:
         """Open all instruments; return their identities by name.
 
-        Raises the `BenchError` of a failing instrument, or `NotConnected` with the errors of several.
+        Raises the `BenchError` of the instrument that fails, or `NotConnected` with all errors if several fail.
         """
         identities: dict[str, Identity] = {}
         failures: list[BenchError] = []
@@ -90,9 +91,9 @@ def same_serials(identities: Mapping[str, Identity]) -> list[str]:
 
 
 def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str, str]) -> None:
-    """Ask whether to continue if an instrument's identity `now` differs from its identity `before`, at the start.
+    """Ask whether to continue if an instrument's identity differs from the recorded one.
 
-    Both map instrument names to identities. Raises `BenchError` if the person disagrees.
+    `before` (recorded) and `now` map instrument names to identities. Raises `BenchError` if the person disagrees.
     """
     changed = [
         message(f"{name} was {identity} and is now {now.get(name, 'gone')}")
@@ -106,14 +107,14 @@ def agree_to_others(person: Person, before: Mapping[str, str], now: Mapping[str,
 
 ROOM_C: Final = 23.0
 ROOM_K: Final = 10.0
-"""A room is expected within `ROOM_K` of `ROOM_C`; so is a block whose chamber was not set."""
+"""A room is expected within `ROOM_K` of `ROOM_C`, °C; so is a block whose chamber has no set point."""
 UNEXPECTED_K: Final = 5.0
-"""A typed temperature may differ so far from the expected one, K: ten times the limit of a usual thermometer."""
+"""Deviation, K, above which a typed temperature is questioned: ten times the limit of a usual thermometer."""
 
 
 @dataclass(frozen=True)
 class TemperatureCheck:
-    """Asks a person about an entered temperature that is far from the expected one, °C.
+    """Asks a person to confirm an entered temperature that is far from the expected one, °C.
 
     The expected temperature is `last_c`, the last one entered, or else the set point `demanded_c`, or else room
     temperature.
@@ -174,10 +175,11 @@ def told_at_mounting(instruments: Instruments, key: str, check: TemperatureCheck
 def told_at_reading(
     instruments: Instruments, known_c: float | None, key: str, check: TemperatureCheck
 ) -> tuple[float | None, float | None]:
-    """Return the temperatures of block and chamber air, °C; the second is None if only one is measured.
+    """Return the temperatures of block and chamber air, °C; None for a temperature that is not measured.
 
-    `known_c` is the block's temperature, if known; a person is then not asked for it. `check` asks about an
-    unexpected temperature that a person enters. Raises `BenchError`.
+    Without a thermometer, the temperature of the chamber's air counts as the block's, and the second value is None.
+    A person is asked for the block's temperature only if `known_c` is None; `check` asks about an unexpected one.
+    Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     air_c = chamber.temperature(key) if chamber is not None and not chamber.asks_person else None
@@ -197,8 +199,8 @@ def told_around(
 ) -> dict[str, float]:
     """Return the temperatures of meters and room, °C, by column; `air_c` is the chamber's air, if known.
 
-    `known` holds values already entered in this mounting; a person is not asked for them again. `check(column)` is
-    the check that asks about an unexpected temperature entered for that column. Raises `BenchError`.
+    `known` holds values already entered in this mounting; a person is not asked for them again. `check(column)`
+    returns the check of a temperature that a person enters for that column. Raises `BenchError`.
     """
 
     def told(column: str, by: interfaces.Thermometer) -> float:
@@ -253,7 +255,11 @@ def with_notes(error: BaseException) -> str:
 
 
 def how_it_stopped(cause: BaseException, wish: RunControl | None) -> tuple[EventType, dict[str, str]]:
-    """Return type and data of the event that records why a run stopped: the wish to stop, if any, else `cause`."""
+    """Return type and data of the event that records why a run stopped.
+
+    An `Exception` in `cause` is recorded as the failure of the run. Any other cause is recorded as an interruption,
+    with the reason and author of the wish to stop, if there was one.
+    """
     if isinstance(cause, Exception):
         instrument = cause.instrument if isinstance(cause, BenchError) else ""
         return EventType.RUN_FAILED, {"error": with_notes(cause), "instrument": instrument}

@@ -37,11 +37,11 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """A context in which the first signal of `numbers` raises `KeyboardInterrupt`, unless shielded or held.
+    """A context in which the first signal of `numbers` raises `KeyboardInterrupt`; `shield` delays this.
 
-    A further signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
-    `release`, a signal raises again, and the second signal ends the program by `end(status)`. Python drops a
-    `KeyboardInterrupt` in a weak reference's callback or in `__del__`; it is raised again afterwards. `heard` is
+    A second signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
+    `release`, a first signal raises as before, and a second one ends the program by `end(status)`. If Python drops
+    the exception in a weak reference's callback or in `__del__`, the main thread is interrupted again. `heard` is
     the last signal that any instance received, 0 for none. After an `Exception` leaves a nested context, signals
     are ignored until the outer context ends, so that the error is reported.
     """
@@ -94,7 +94,7 @@ class Interrupts:
         self._held = True
 
     def release(self, last_words: str) -> None:
-        """End the shutdown: the bench is safe, and the remaining work can be done at another time.
+        """End the shutdown once the bench is safe; the remaining work can be done at another time.
 
         `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` if a signal was
         received before.
@@ -135,7 +135,7 @@ class Interrupts:
 
 
 def stopped_by() -> str:
-    """Return by which signal the program was stopped, in words; without one, it was Ctrl-C."""
+    """Return in words which signal stopped the program; if none was received, name Ctrl-C."""
     name = signal.Signals(Interrupts.heard or signal.SIGINT).name
     return f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}"
 

@@ -1,4 +1,4 @@
-"""What reaches a run from outside: jumps of the computer's clock; wishes and answers of the operator."""
+"""Inputs of a run from outside: jumps of the computer's clock, the operator's wishes and answers."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ClockWatch:
         self._last: tuple[datetime, float] | None = None
 
     def gap_s(self) -> float:
-        """Return the gain of civil time over bench time since the last call, s; 0 if it is below `GAP_S`."""
+        """Return the gain of civil time over bench time since the last call, s; 0 within ± `GAP_S`."""
         civil, now_s = self._civil(), self._now_s()
         last, self._last = self._last, (civil, now_s)
         if last is None:
@@ -63,7 +63,7 @@ LISTEN_S: Final = 0.1
 
 
 class WishListener(Controls):
-    """Reads the wishes left in a run folder; within this context, a wish to stop interrupts the main thread.
+    """Reads the wishes left in a run folder; as a context, it interrupts the main thread at a wish to stop.
 
     `stopped` is the first wish to stop that was received.
     """
@@ -165,9 +165,9 @@ class Asker:
             self.terminal.wishes = None
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Put the prompt; return the first valid answer, or an invalid answer typed at the terminal.
+        """Show the prompt; return the first valid answer, or an invalid answer typed at the terminal.
 
-        The caller rejects an invalid answer and asks again; the record counts this as the same question. Raises
+        The caller rejects an invalid answer and calls again; the record counts both calls as one question. Raises
         `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
         """
         question = prompt.id.rpartition("#")[0]

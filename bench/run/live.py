@@ -40,7 +40,7 @@ QUIET_G: Final = 3e-4
 """A scatter above this, g, counts as motion; the noise of quick samples on the 10 V range is a third of it."""
 
 TELLING_ARCSEC: Final = 60.0
-"""The deviation from the commanded angle is shown if its U (k = 2) is below this, a usual scale division."""
+"""Largest expanded uncertainty (k = 2) of a shown deviation from the commanded angle: a scale division."""
 
 LINEAR_ARCSEC: Final = 3600.0
 """Up to this deviation, the error of its linear estimate is below 1 %."""
@@ -53,9 +53,9 @@ SHOWN_V: Final = 5
 class LiveValue:
     """The signals at one moment, V; if they could not be sampled, `why` gives the reason.
 
-    `off_arcsec` is the deviation from the commanded angle, `expanded_arcsec` its U (k = 2). Both are None if no
-    angle is commanded or the deviation is not known well enough. `settled` is None until the signals have been
-    sampled for `SETTLED_S`.
+    `off_arcsec` is the deviation from the commanded angle, `expanded_arcsec` its expanded uncertainty (k = 2). Both
+    are None if no angle is commanded or the deviation is not known well enough. `settled` is None until the signals
+    have been sampled for `SETTLED_S`.
     """
 
     prompt: str
@@ -113,8 +113,8 @@ def _angle(arcsec: float) -> str:
 class LiveSignals:
     """Quick samples of the meters while a question waits, written to the file `LIVE` and shown by `show`.
 
-    It observes the run's events to know which reading comes next. `scale_v_g` is the least scale factor of the
-    block, V/g. After an error of an instrument it stays silent until the next question.
+    Events of the run tell which reading comes next. `scale_v_g` is the least scale factor of the block, V/g. After
+    an instrument's error, except `BadReading`, no samples are taken until the next question.
     """
 
     def __init__(
@@ -138,7 +138,7 @@ class LiveSignals:
         self._recent: deque[tuple[float, tuple[float, ...]]] = deque()
 
     def attach(self, bench: Workbench) -> None:
-        """Sample the signals of this bench from now on."""
+        """Take the samples with the meters of this bench from now on."""
         self._bench = bench
 
     def observe(self, event: Event) -> None:

@@ -75,7 +75,7 @@ def at_the_shell(where: str) -> WishAuthor:
 
 @dataclass(frozen=True)
 class RunControl:
-    """A wish with its reason and author; `by_person` marks a wish of the person at the prompt."""
+    """A wish (an operator's command), its reason and author; `by_person` marks a wish given at the prompt."""
 
     wish: Wish
     reason: str = ""
@@ -121,7 +121,7 @@ def raised(control: RunControl) -> OperatorWish | Stopped:
 
 
 class Controls:
-    """A source of wishes; this one has none, for a run that nobody can control.
+    """A source of wishes. This base class supplies none, for a run that nobody can control.
 
     `stopped` is the wish that interrupted the program, if any.
     """
@@ -268,9 +268,9 @@ _WORDS: Final = {message("yes"): "yes", message("done"): "yes", message("no"): "
 
 
 def in_english(prompt: Prompt, typed: str) -> str:
-    """Return an answer in English, as records need it, if it was typed in the language of the pages: так → yes.
+    """Return a typed answer in English, the language of records: так → yes.
 
-    The answer to a choice becomes the English name of the choice.
+    The answer to a choice becomes the English name of the choice. Other text is returned as typed.
     """
     given = " ".join(typed.split()).lower()
     if language() == ENGLISH or not given:
@@ -363,8 +363,8 @@ class OpenPrompt:
 def problem_with_answer(prompt: Prompt, text: str) -> str:
     """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
 
-    An empty answer selects the prompt's default, if any. Values read from a scale or a display are checked by
-    the rules of the driver that asks. The function has no side effects, so it can be called during typing.
+    An empty answer selects the prompt's default, if any. For a value read from a scale or a display, the rules of
+    the driver that asks apply. The function has no side effects, so it can be called during typing.
     """
     given = text.strip() or prompt.default or ""
     try:
@@ -509,7 +509,7 @@ def ask(person: Person, prompt: Prompt) -> str:
 
 
 def confirm(person: Person, prompt: Prompt) -> None:
-    """Ask for a task and repeat the prompt after each "no" until the task is done. Raises the errors of `ask`."""
+    """Ask the person to do a task; repeat the prompt after each "no". Raises the errors of `ask`."""
     put = prompt
     for wait in range(1, MOST_WAITS + 1):
         if ask(person, put).lower() not in NO:

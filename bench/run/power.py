@@ -62,9 +62,9 @@ class UnitPower:
     """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
     `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
-    was on after the last switching or check. `off_since_s` is the time of switching off (s since the run began,
-    None if unknown); `on_since_s` is the time of switching on by `clock`, s. `in_charge` says whether this run has
-    switched the block, or found it on and took it over.
+    was on after the last switching or check. `off_since_s` is the value of `now_s` when the block was switched off,
+    None if unknown; `on_since_s` is the value of `clock` when it was switched on, s. `in_charge` says whether this
+    run has switched the block, or found it on and took it over.
     """
 
     supply: PowerSupply
@@ -92,8 +92,8 @@ class UnitPower:
     def have_on(self, key: str) -> None:
         """Ensure that the block is on, with the settings and protections of the bench file.
 
-        A block that is on with these settings is left unchanged. If the settings differ, or only some rails are
-        on, the person is asked first. Raises `RailFault` or `BenchError`.
+        A block that is on with these settings is left unchanged. If the settings differ, or only some rails are on,
+        the person is asked before the block is switched off and on again. Raises `RailFault` or `BenchError`.
         """
         try:
             self.supply.set_up(self._settings(), key)
@@ -241,7 +241,7 @@ class UnitPower:
         return self._seen
 
     def at_reading(self, key: str) -> Mapping[str, Rail]:
-        """Return the measured rails before or after a reading; empty if the block is off on purpose.
+        """Return the measured rails before or after a reading; empty if the block is off.
 
         For a supply read by a person, return the last values, to avoid a prompt at each reading. Raises the
         errors of `look`.
@@ -251,7 +251,10 @@ class UnitPower:
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Check the rails if the check is due, during another task. Raises only `RailFault`."""
+        """Check the rails if the last check is `WATCH_S` ago and no person reads them.
+
+        Raises only `RailFault`.
+        """
         due = self.clock.now_s() - self._looked_s >= WATCH_S
         if not self.on or self.supply.asks_person or not due:
             return
@@ -341,8 +344,8 @@ def warm_up(
 ) -> tuple[float, tuple[float, ...]]:
     """Wait until the block is warm; return the time since it was switched on, s, and the settled signals, V.
 
-    `stated_s` overrides the warm-up of the bench file; `sample` returns the signals. The rails are checked
-    during the wait. Raises `RailFault` or `NotSettled`.
+    `stated_s` overrides the warm-up of the bench file; `sample` returns the signals, V. After a warm-up of fixed
+    duration, no signals are returned. The rails are checked during the wait. Raises `RailFault` or `NotSettled`.
     """
     wanted = power.section.warm_up if stated_s is None else stated_s
     clock = power.clock
@@ -394,8 +397,8 @@ def take_up(
     """Restore the block's power state before step `first` of a resumed run.
 
     The block is warmed up again if it was not warm yet, or if it was off according to the record, the supply or the
-    person. If the block was off during a visit to an installation, the later readings of that visit form a new
-    visit, and `another_visit` is called with the next of these readings.
+    person. If it was off between the readings of a visit to an installation, the remaining readings form a new
+    visit, and `another_visit` is called with the first of them.
     """
     if not _on_at(plan, first):
         return

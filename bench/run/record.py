@@ -71,11 +71,10 @@ class History:
 
     `problems` are sentences about the file; `torn` is an incomplete last line. `head` is the SHA-256 of the last
     complete line, which identifies all lines so far; `length` is their size in bytes. `taken` holds (step, reading
-    without samples) in the order of measurement, and None where the block was remounted unplanned. `identities` and
-    `serials` are the instruments' identities and serial numbers at the start of the run; serial numbers are
-    recorded if certificates are checked. `levelled` holds (bench time, levelling result), and `power` holds (bench
-    time, state of the block's supply: "on", "found on", "off" or "fault"). Events after an invalid line are left
-    out of all fields.
+    without samples) in the order of measurement, and None for each `remounted` event. `identities` and `serials`
+    are the instruments' identities and serial numbers at the start of the run; `serials` is empty if certificates
+    are not checked. `levelled` holds (bench time, levelling result), and `power` holds (bench time, state of the
+    block's supply: "on", "found on", "off" or "fault"). Events after an invalid line are left out of all fields.
     """
 
     events: Events
@@ -92,7 +91,7 @@ class History:
     power: list[tuple[float, str]] = field(default_factory=list)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
-        """Return early signs whose wrong reading was not repeated, and decisions to continue despite such signs."""
+        """Return early signs whose wrong reading was not repeated, and decisions to continue despite them."""
         steps: dict[tuple[int, str, int, int], int] = {}
         found: list[tuple[int, Event]] = []  # each with the step of the reading at fault
         for event in self.events if self.progress.signs else ():
@@ -230,7 +229,7 @@ def parse_line(line: bytes) -> tuple[Event, str]:
 
 @dataclass(frozen=True)
 class ResumePoint:
-    """Where a run is resumed: at step `step`; first the step `turn`, if not None, is repeated.
+    """Where a run is resumed: at step `step`, after a repetition of the turn at step `turn`, if any.
 
     `bench_s` is the bench time, s, at which `step` was last begun, or the bench time of the last event if the
     step was never begun.
@@ -313,7 +312,7 @@ class Record:
         now: Callable[[], datetime],
         shield: Shield = nullcontext,
     ) -> Record:
-        """Create the run's folder with its inputs, all on disk before this returns; return its record.
+        """Create the run's folder with its inputs, force all to disk, and return the run's record.
 
         `inputs` holds the files' contents by name. Raises `RecordError` if the folder exists or cannot be written.
         """

@@ -20,12 +20,13 @@ from drivers.person import Person, Prompt, PromptKind
 class PlanProgress:
     """The progress of a plan: the steps done or left out, and how often each was redone at a person's wish.
 
-    `temperature_c` is the last recorded temperature; `identities` are the instruments' identities by name.
-    `remounts` maps (series, installation) to the series number of the readings after an unplanned remounting.
+    `temperature_c` is the last recorded temperature, None after a new set point; `identities` are the instruments'
+    identities by name. `remounts` maps (series, installation) to the series number of the readings after an
+    unplanned remounting.
 
-    `doubt` is the early sign that stopped the run, as long as nobody has answered it. `in_vain` holds the steps
-    whose point was redone because of an early sign, `gone_on` the steps where a person continued despite an early
-    sign. `signs` counts the early signs.
+    `doubt` is the early sign that stopped the run, until a person has decided how to continue. `in_vain` holds the
+    steps whose point was redone because of an early sign, `gone_on` the steps where a person continued despite an
+    early sign. `signs` counts the early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
@@ -126,7 +127,7 @@ class PlanProgress:
             self.temperature_c = brought.get("temperature_c")
 
     def reopen(self, plan: Plan, step: int) -> None:
-        """Mark the steps from `step` to the end of its point, except readings, as not done, to be repeated."""
+        """Mark the steps from `step` to the end of its point as not done, except readings."""
         for index in range(step, end_of_point(plan, step)):
             if not isinstance(plan.steps[index], Read):
                 self.done.discard(index)
@@ -150,9 +151,9 @@ ENDS_A_POINT: Final = Mount | SetTemperature | Level
 
 
 def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
-    """Return the index of the last turn before `step`, or `step` if a step of `ENDS_A_POINT` comes after that turn.
+    """Return the index of the last turn before `step`; `step` itself if there is none.
 
-    The steps `without` are ignored.
+    The search ends at a step of `ENDS_A_POINT`. The steps `without` are ignored.
     """
     for index in range(min(step, len(plan.steps)) - 1, -1, -1):
         if index in without:
@@ -178,8 +179,8 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
     """Return the index of the turn begun last, or `step` if a step of `ENDS_A_POINT` was begun after that turn.
 
-    In contrast to `turn_before`, steps count in the order of execution, which differs from the plan's order
-    when points are chosen during the run. The step `step` itself is ignored.
+    `turn_before` follows the order of the plan; this function follows the order of execution, which differs when
+    points are chosen during the run. The step `step` itself is ignored.
     """
     begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
     own = [i for i in begun if isinstance(plan.steps[i], Turn | ENDS_A_POINT)]
@@ -188,7 +189,7 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 
 def end_of_point(plan: Plan, step: int) -> int:
-    """Return the index after the last step of the point to which `step` belongs."""
+    """Return the index of the step that follows the point of `step`, or the number of steps."""
     after = range(step + 1, len(plan.steps))
     return next((i for i in after if isinstance(plan.steps[i], Turn | ENDS_A_POINT)), len(plan.steps))
 
@@ -205,7 +206,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return, in the pass of the turn at index `turn`, the last step of the latest point begun."""
+    """Return the last step of the last point begun in the pass of the turn at index `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -271,8 +272,8 @@ def pause_prompt(now_s: float) -> Prompt:
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
     """Ask how to continue after an early sign; return the reason for going on despite the sign.
 
-    Raises `OperatorWish` if the person chooses to repeat something, and `NoAnswer` with the sign's sentence if
-    nobody answers. `again` is explained at `halt_prompt`.
+    Raises `OperatorWish` if the person chooses to repeat something, `NoAnswer` with the sign's sentence if nobody
+    answers, and `BenchError` after `MOST_ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.
     """
     prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
@@ -300,7 +301,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
 
 
 def step_in_doubt(plan: Plan, doubt: Event) -> int:
-    """Return the step after the reading at fault.
+    """Return the index of the step after the reading at fault.
 
     The reading at fault is the reading of the early sign `doubt`, or an earlier one on the same mounting.
     """
@@ -326,7 +327,7 @@ class Redo:
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return the steps that the wish `wish`, received at step `index`, repeats.
 
-    Return None if no point was measured since the block was mounted.
+    Return None if no point was begun since the block was mounted.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None

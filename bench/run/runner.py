@@ -118,10 +118,10 @@ class Recorder:
 class Runner:
     """Executor of a plan: commands the bench, asks its people and records all events.
 
-    `watch` judges each reading. In a run that chooses its points as it goes, `choose` is called with a step index
-    and returns the choice of the steps still to be measured. `certificates` takes
-    the serial numbers by instrument name, and returns sentences on the instruments' certificates. `at_resumed_time`
-    is called with the bench time at which a resumed run continues, s.
+    `watch` judges each reading. `choose` receives a step index and the progress; if a choice of points is due, it
+    returns the data of a `chosen` event, otherwise None. `certificates` receives the serial numbers by instrument
+    name, and returns sentences on the instruments' certificates. `at_resumed_time` is called with the bench time at
+    which a resumed run continues, s.
     """
 
     plan: Plan

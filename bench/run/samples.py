@@ -42,9 +42,9 @@ def grubbs_critical(n: int) -> float:
 class Statistics:
     """The statistics of the `n` samples of one channel, in the samples' unit; None where undefined.
 
-    `sd` needs 2 samples, the drift 3, an outlier `OUTLIER_LEAST`. `drift` is the change of the fitted line from the
-    first to the last sample. `drift_p` is the probability that noise alone gives a drift at least as large.
-    `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
+    `sd` needs 2 samples, `drift` needs 3, and `outlier` needs `OUTLIER_LEAST`. `drift` is the change of the fitted
+    line from the first to the last sample. `drift_p` is the probability that noise alone gives a drift at least as
+    large. `outlier` is the sample found by Grubbs' test at the level `OUTLIER_LEVEL`.
     """
 
     n: int
@@ -117,7 +117,7 @@ LEAST_SAMPLES: Final = 6
 """Least number of samples in a window for an estimate of the time left."""
 
 SLOWING: Final = 0.9
-"""The time left is estimated if the span in the window's later half is at most this fraction of the earlier."""
+"""The time left is estimated if the window's later half spans less than this fraction of its earlier half."""
 
 _TIMING_S: Final = 1e-6
 """Tolerance for rounding errors when sums of intervals are compared with the window's length, s."""
@@ -125,7 +125,10 @@ _TIMING_S: Final = 1e-6
 
 @dataclass(frozen=True)
 class Criterion:
-    """The criterion by which a quantity counts as settled; `precision` is in the unit of the samples."""
+    """The criterion by which a quantity counts as settled.
+
+    The samples of the last `window_s`, s, must span at most `precision`, in the samples' unit.
+    """
 
     precision: float
     window_s: float
@@ -236,8 +239,9 @@ def wait_until_settled(
     """Sample until settled; return the last state, whose `elapsed_s` is the time it took.
 
     `sample` returns the signals (V, or a single temperature in °C) and may take time; its calls start every
-    `interval_s`. `on_progress` is called after every sample. `names` and `unit` are used in the error message.
-    Raises `NotSettled` if a sample taken at or after `timeout_s` has not settled, and the errors of `sample`.
+    `interval_s` of the criterion. `on_progress` is called after every sample. `names` and `unit` are used in the
+    error message. Raises `NotSettled` if a sample taken at or after `timeout_s` has not settled, and the errors of
+    `sample`.
     """
     window = Window(criterion)
     begun_s = clock.now_s()
@@ -277,12 +281,12 @@ SLOW_AFTER_S: Final = 300.0
 """Default time from a new set point to the check of the chamber, s."""
 LEAST_SHARE: Final = 0.2
 LEAST_WAY_K: Final = 2.0
-"""Least change of the set point that is checked, K; a smaller one is hidden by noise and the air's lag."""
+"""Least difference of set point and air that is checked, K; noise and the air's lag hide a smaller one."""
 
 
 @dataclass
 class ChamberWatch:
-    """Checks after each new set point that the air covers at least 20 % of the change within `slow_after_s`.
+    """Checks that the air covers at least 20 % of the way to each new set point within `slow_after_s`.
 
     Otherwise `tell` records `CHAMBER_SLOW`.
     """
@@ -294,7 +298,7 @@ class ChamberWatch:
     _begun_s: float = field(default=0.0, init=False)
 
     def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
-        """Start the watch with the air temperature at a new set point; manual chambers are not watched."""
+        """Start the watch at a new set point, °C, unless the chamber is manual or the air is already near."""
         self._way_c = None
         if chamber.asks_person:
             return

@@ -176,7 +176,7 @@ def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
 
 
 def size_in_words(u: float, unit: str) -> str:
-    """Return an uncertainty with an SI prefix: 49.8e-6, "V/g" -> "49.8 µV/g"."""
+    """Return the uncertainty `u` with an SI prefix: 49.8e-6, "V/g" -> "49.8 µV/g"."""
     base, slash, per = unit.partition("/")
     scale = scale_for(u, base)
     return f"{figures(u / scale.size)} {scale.unit}{slash}{per}"

@@ -116,7 +116,7 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return help text on what can be typed; if `wishes` is a mapping, its values replace `MEANINGS`."""
+    """Return help text on what can be typed; a mapping `wishes` gives its own meanings, not `MEANINGS`."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
@@ -137,7 +137,7 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
 
 
 SLOW_TO_LEARN_S: Final = 1800.0
-"""Weight of the expected durations against the observed ones in the estimated pace, as bench time, s."""
+"""In the estimated pace, the expected durations count as much as this bench time, s, of observation."""
 
 
 class TimeLeft:
@@ -168,7 +168,7 @@ class TimeLeft:
     def at(self, index: int, bench_s: float) -> float:
         """Return the estimated time left, s, if step `index` starts at bench time `bench_s`.
 
-        Without `begin`, the first call sets the step and time from which the pace is measured.
+        Without `begin`, the pace is measured from the first call on.
         """
         if self._begun is None:
             self._begun = (index, bench_s)
@@ -289,7 +289,7 @@ class TerminalPerson:
     def show_live(self, line: str) -> None:
         """Show a line above the one being typed, at a terminal; the cursor stays where it is.
 
-        After Enter the cursor is already one line below, and the typed answer must stay.
+        Once Enter was pressed, nothing is shown: the line above the cursor is then the typed answer.
         """
         if self._has_live_line and not self._reader.waits:
             cut = line[: max(self._console.width - 3, 0)]

@@ -69,7 +69,7 @@ from drivers.person import Person, Prompt, PromptKind
 MOST_ATTEMPTS: Final = 5
 MOST_PAIRS: Final = 3
 ZERO_MOVED: Final = 5.0
-"""Greatest plausible shift of the level's zero, in units of its u; after a larger one, the level is read again."""
+"""Greatest plausible shift of the level's zero, in standard uncertainties; beyond it, read again."""
 
 
 @dataclass
@@ -239,7 +239,7 @@ class BenchSetup:
     `range_v` is the fixed range of the voltmeters. `least_samples` is the smallest number of samples that all
     voltmeters accept. `setting_u_rad` is the standard uncertainty of a head setting. `block_limits_c` are the
     permitted temperatures of the block, °C; `feeding` describes its power supply. A chamber whose temperature
-    hardly changes for `slow_chamber_s` is reported.
+    hardly changes for `slow_chamber_s` is reported. `aside` returns a context for samples outside readings.
     """
 
     instruments: Instruments

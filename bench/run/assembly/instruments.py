@@ -46,9 +46,9 @@ from sim.world.world import World, WorldSettings
 class Surroundings:
     """The objects that drivers need in addition to their sections: person, clock, line frequency and wire.
 
-    `resources` overrides resources of the bench file, by instrument name. `haste` ends waits for instruments that
-    do not respond. `holding` reserves the instruments that are opened. `sessions` collects the message sessions
-    created, by instrument name.
+    `resources` maps instrument names to resources that replace those of the bench file. `haste` ends waits for
+    instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
+    message sessions created, by instrument name.
     """
 
     person: Person

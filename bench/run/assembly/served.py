@@ -89,8 +89,8 @@ class LivingOperator:
 
         If the task is to read a display, the prompt contains the displayed value. If the task is to turn a head
         with an encoder, the scripted operator answers; with a hands-free encoder, that operator turns the head
-        while the question is open. After an invalid or refusing answer the task is not carried out. Raises the
-        errors of the person's `ask`.
+        while the question is open. If the answer is invalid or no, the task is not carried out. Raises the errors
+        of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -248,7 +248,7 @@ def _recall(world: World, taken: Sequence[Reading]) -> None:
 
 
 LOOK_S: Final = 0.2
-"""Interval between two readings of the folder of runs, s."""
+"""Interval at which the folder of runs is searched for new prompts, s."""
 
 LAST_BYTES: Final = 1 << 16
 """Number of bytes read from the end of a record; they contain the open question."""

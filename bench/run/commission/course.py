@@ -176,7 +176,7 @@ def _identities(evening: CommissioningSession) -> None:
 
 
 def who(evening: CommissioningSession, instrument: Instrument) -> Finding:
-    """Return a finding that states the identity which an opened instrument reported."""
+    """Return a finding with the identity that an opened instrument reported."""
     by_hand = evening.section(instrument.name).by_hand
     said = "is operated by hand" if by_hand else str(evening.identities[instrument.name])
     return Finding(IDENTITY, instrument.name, State.WORKS, said)

@@ -42,7 +42,7 @@ STOPPED_AFTER_S: Final = 1.0
 """Intended time from the start of the motion to the stop, s; the stop is half way to the target."""
 TIME_MARGIN: Final = 2.0
 TIME_MARGIN_S: Final = 2.0
-"""A move may last its nominal time times the factor, plus the time in s: acceleration, braking, polling."""
+"""A move may last its nominal time times `TIME_MARGIN`, plus this time, s: acceleration, braking, polling."""
 MANUAL_WAY_RAD: Final = math.radians(5.0)
 _MOST_LOOKS: Final = 40
 _LOOK_S: Final = 0.25

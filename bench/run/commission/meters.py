@@ -30,7 +30,7 @@ SLOW_NPLC: Final = 10.0
 """Longest integration time used in the checks, in line periods; calibrations seldom use a longer one."""
 TIME_MARGIN: Final = 1.05
 TIME_MARGIN_S: Final = 0.25
-"""A reading may last its expected time times the factor, plus the time in s: commands on the wire."""
+"""A reading may last its expected time times `TIME_MARGIN`, plus this time, s: commands on the wire."""
 START_PART: Final = 0.1
 """Greatest difference between the meters' start times, as a fraction of a reading's duration."""
 SIGNIFICANCE: Final = 1e-3
@@ -232,7 +232,7 @@ def check_noise(evening: CommissioningSession) -> None:
 
 
 class SharedReading:
-    """A reading of `samples` samples by all voltmeters, which start together."""
+    """A reading of `samples` samples of each channel; all voltmeters start together."""
 
     def __init__(self, evening: CommissioningSession, samples: int) -> None:
         self._evening = evening
@@ -348,7 +348,10 @@ def _of_channel(
 
 
 def largest_scatter_v(sigma_v: float, n: int) -> float:
-    """Return the upper limit, V, of the standard deviation of `n` samples from noise of `sigma_v` volts."""
+    """Return the limit, V, of the standard deviation of `n` samples with normal noise of `sigma_v`, V.
+
+    Chance alone exceeds it with the probability `SIGNIFICANCE`; for one sample, it is `sigma_v`.
+    """
     from scipy.stats import chi2
 
     return sigma_v * math.sqrt(float(chi2.isf(SIGNIFICANCE, n - 1)) / (n - 1)) if n > 1 else sigma_v

@@ -34,12 +34,12 @@ CHECK_BLOCK: Final = "check block"
 WAY_RAD: Final = math.radians(45.0)
 KEY: Final = "morning/head"
 SHORTED_S: Final = 120.0
-"""Time after which the noise with shorted inputs is read, s: the hand has warmed their contacts."""
+"""Time from shorting the inputs to reading their noise, s: the hand has warmed the contacts."""
 LOOK_S: Final = 1.0
-"""Interval at which the program looks for something to do while the person turns the head, s."""
+"""Interval at which the program checks whether a job is due while the person turns the head, s."""
 SAMPLES: Final = 10
 SIGMAS: Final = 3.0
-"""After the head's return, a difference of more than this many standard deviations is reported."""
+"""When signals or angles are compared, a difference up to this many standard deviations counts as chance."""
 LEAST_P: Final = 0.0027
 """A reading of the check block with a smaller p-value is reported; by chance, once in 370 mornings."""
 

@@ -133,7 +133,7 @@ class WireWatch:
             self._log(instrument, direction, text)
 
     def mark(self) -> tuple[int, int]:
-        """Return a mark of this moment, from which `exchanges` and `failures` count."""
+        """Return a mark of this moment; `exchanges` and `failures` return what follows it."""
         return len(self._exchanges), len(self._failures)
 
     def exchanges(self, mark: tuple[int, int], instrument: str) -> list[TimedExchange]:
@@ -175,7 +175,7 @@ class CheckEnded(Exception):
 
 
 class PersonBehind:
-    """A `WatchingPerson` that passes prompts on to another `person`, and `meanwhile` too, if that person has it."""
+    """A `WatchingPerson` that passes prompts, and `meanwhile` if possible, on to another `person`."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
@@ -192,12 +192,12 @@ class PersonBehind:
 
 
 class CommissioningPerson(PersonBehind):
-    """A `Person` for commissioning: raises `Skipped` for :skip REASON, `SessionEnded` for :abort."""
+    """A `Person` for commissioning, who can type the wishes :skip REASON and :abort at any prompt."""
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Show the prompt and return the answer.
+        """Show the prompt and return the answer. Raises `Skipped` for :skip, and `SessionEnded` for :abort.
 
-        After a wish other than :skip or :abort, name the accepted wishes and show the prompt again.
+        After any other wish, name the accepted wishes and show the prompt again.
         """
         put = prompt
         while True:
@@ -216,8 +216,8 @@ class CommissioningSession:
     """A commissioning session on a bench, with its findings.
 
     `time_s` is the clock for measuring durations: the bench's clock, plus the computer's time on a simulated
-    bench. `connections` maps each wired instrument to a function that returns the number of the
-    present connection, None if there is no connection. `tell` displays a line.
+    bench. `connections` maps each wired instrument to a function that returns the number of the present connection,
+    None if there is no connection. `tell` displays a line.
     """
 
     file: BenchFile
@@ -248,7 +248,10 @@ class CommissioningSession:
     # --- the person ---------------------------------------------------------------------------------
 
     def confirm(self, text: str, *, default: str | None = None, action: Action | None = None) -> None:
-        """Ask the person to confirm `text`. Raises `Skipped`, `SessionEnded`, or `BenchError` after a refusal."""
+        """Ask the person to confirm `text`, again after each "no".
+
+        Raises `Skipped`, `SessionEnded`, or `BenchError` after too many invalid answers or refusals.
+        """
         self._prompts += 1
         prompt = Prompt(
             f"commission/{self._prompts}",
@@ -282,9 +285,9 @@ class CommissioningSession:
     ) -> Finding:
         """Carry out one check of one instrument; store and return its finding, even after an exception.
 
-        `look` performs the check. `also` are the other instruments that take part. `by_answers` adds a check of the
-        response times of single commands, `by_wire` one for other faults on the wires. With `opened` False, the
-        instruments are not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
+        `look` performs the check. `also` are the other instruments that take part. `by_wire` adds a check for
+        faults on the wires; with `by_answers`, this includes the response times of single commands. With `opened`
+        False, the instruments are not opened first. Raises only `SessionEnded` and `KeyboardInterrupt`.
         """
         name = instrument.name
         if not self.present(instrument):
@@ -303,7 +306,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still to be checked: it is, unless it was lost `MOST_LOSSES` times."""
+        """Return whether an instrument is still checked, that is, was lost fewer than `MOST_LOSSES` times."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
