@@ -18,7 +18,7 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 
 class SpoiledFit(CalibrationError):
-    """A fit that a few wrong readings may have spoiled: what is wrong with it, and what to check."""
+    """The error of a fit that a few wrong readings may have spoiled; its arguments are the problem and a remedy."""
 
     def __str__(self) -> str:
         """Return the sentence."""
@@ -27,12 +27,13 @@ class SpoiledFit(CalibrationError):
 
 @dataclass(frozen=True)
 class SourceOfError:
-    """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.
+    """An error source that the readings do not show.
 
-    `size` is its size in words; `origin`, where this size comes from; `prior` marks a size not stated for this
-    bench. `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is
-    set for an error of the block itself; column k is the change of the coefficients by one u of the error's k-th
-    independent component.
+    `covariance` (12, 12) is its part of the covariance of the coefficients. `size` is its standard uncertainty in
+    words; `origin` says where this comes from; `prior` marks an uncertainty that nobody stated for this bench.
+    `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is set for an
+    error of the block itself; column k is the change of the coefficients if the error's k-th independent component
+    equals its standard uncertainty.
     """
 
     name: str
@@ -67,7 +68,7 @@ HARDLY_BETTER = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted value with its standard uncertainty, both in `unit`; `prior_u` is the u before the fit."""
+    """A fitted value with its standard uncertainty `u`, both in `unit`; `prior_u` is that before the fit."""
 
     value: float
     u: float
@@ -76,18 +77,18 @@ class Estimate:
 
     @property
     def told_by_data(self) -> bool:
-        """Whether the data reduced the prior uncertainty noticeably."""
+        """Whether the data reduced the uncertainty noticeably below that of the prior."""
         return self.u < HARDLY_BETTER * self.prior_u
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Prior sizes of the noise, which are combined with the estimates from the readings.
+    """The prior of the noise that a fit combined with its residuals, and a test of the residuals against it.
 
-    Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
+    The standard deviations are `reading` (unit of the signal) and `setting_rad`; each variance has a scaled inverse
+    chi-square distribution with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
     `ratio` is the scatter of the residuals divided by the prior noise, `p` the two-sided p-value of this ratio
-    (both NaN without degrees of freedom). `stated` is true for sizes from the bench file, false for sizes from
+    (both NaN without degrees of freedom). `stated` is true for a prior from the bench file, false for one from
     other runs.
     """
 
@@ -101,22 +102,22 @@ class NoisePrior:
 
     @property
     def source(self) -> str:
-        """Source, in words, of noise sizes estimated with this prior."""
+        """Return in words where noise estimated with this prior comes from."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the noise that is independent from reading to reading, 1 sigma.
+    """Standard deviations of the noise that is independent from reading to reading.
 
     `reading` (unit of the signal) acts on each channel of each reading. `setting_rad` acts on each setting of the
     head, common to its three channels; `setting_limits_rad` contain it with about 95 %. `dof` are the degrees of
-    freedom of the estimate, counted in single signals; they are infinite if the sizes are given. `source` says
-    where the sizes come from. If the channels differ, `channels` are the sizes of the noise in x, y and z,
-    `channel_dof` are their degrees of freedom, and `reading` is the root mean square. `p_equal` is the p-value of
-    the hypothesis that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None.
-    `stated` is the test of residuals that need no prior against the sizes that the bench file states, or None.
+    freedom of the estimate, counted in single signals; infinite if the noise was given. `source` says where the
+    noise comes from. If the channels differ, `channels` are the standard deviations in x, y and z, `channel_dof`
+    their degrees of freedom, and `reading` is their root mean square. `p_equal` is the p-value of the hypothesis
+    that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None. If the residuals
+    needed no prior, `stated` is their test against the noise that the bench file states, or None.
     """
 
     reading: float
@@ -132,7 +133,7 @@ class Noise:
 
     @property
     def by_channel(self) -> Floats:
-        """Sizes of the noise in x, y and z, shape (3,); each equals `reading` if the channels do not differ."""
+        """Standard deviations of the noise in x, y and z, shape (3,), equal if the channels do not differ."""
         return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property
@@ -148,10 +149,10 @@ class Noise:
         return 2 * self.dof / 3 if self.setting_rad > 0 else self.dof
 
     def widened(self) -> Noise:
-        """Return the sizes as they enter an uncertainty: larger if they are estimates.
+        """Return the noise as it enters an uncertainty: widened for the degrees of freedom of the estimate.
 
-        An estimate s with nu degrees of freedom leads to a scaled t distribution, whose standard deviation is s
-        sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
+        A standard deviation s, estimated with nu degrees of freedom, leads to a scaled t distribution, whose
+        standard deviation is s sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
         """
         if np.isinf(self.dof):
             return self
@@ -164,19 +165,22 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), the factor that widens a size with nu = `dof` (at least `LEAST_DOF`)."""
+    """Return the factor sqrt(nu/(nu - 2)) that widens an estimated standard deviation.
+
+    nu is `dof`, or `LEAST_DOF` if that is larger. Infinite degrees of freedom give 1.
+    """
     nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Residuals of the fit: their root mean square, and the misfit beyond the scatter of repeats.
+    """Test of a fit: the root mean square of its residuals, and the misfit beyond the scatter of repeats.
 
-    `chi2` with `dof` is this misfit in units of the scatter, `p` its p-value (F test); NaN without enough repeats.
-    If the noise was given, the whole misfit is tested against it. The closed form has `chi2` and `p` of the
-    least-squares fit to the same readings: they judge the model, not the estimator. `rounding` is the residual that
-    rounding leaves in readings without noise, which no model can explain.
+    `chi2` with `dof` degrees of freedom is this misfit in units of the scatter, `p` its p-value (F test); NaN
+    without enough repeats. If the noise was given, the whole misfit is tested against it. For the closed form,
+    `chi2` and `p` are those of the least-squares fit to the same readings: they judge the model, not the estimator.
+    `rounding` is the rms residual that rounding leaves in noise-free readings, which no model can explain.
     """
 
     rms: float
@@ -258,11 +262,12 @@ class Triangular:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance component that readings share; `size` is its standard deviation in `unit` (rad; 1 for a gain).
+    """A variance component: an error that several readings share.
 
-    `what` is the kind ("setting", "visit", "pass", …); `channels` are the channels concerned; `dof`, the degrees
-    of freedom of `size`. `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is
-    computed from the last digit.
+    `size` is its standard deviation in `unit`: that of the signal, rad for an angle, or 1 for a gain. `what` is the
+    kind ("setting", "visit", "pass", …), `channels` the channels concerned, `dof` the degrees of freedom of `size`.
+    `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is computed from the last
+    digit.
     """
 
     what: str
