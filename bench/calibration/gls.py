@@ -1,9 +1,9 @@
 """Generalised least squares on all readings, with the stand's errors as random effects.
 
 The setting error is common to the three channels of a point. Axis tilt, zero offset and mounting error are common
-to a mounting and have the sizes that the bench file states. The exact forward model is linearised about the current
-estimate until the estimate converges. The result is the maximum a posteriori estimate; for these small angles its
-covariance is that of generalised least squares.
+to a mounting, with the standard uncertainties that the bench file states. The exact forward model is linearised
+about the current estimate until the estimate converges. The result is the maximum a posteriori estimate; for these
+small angles its covariance is that of generalised least squares.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ LEAST_NOISE: Final = 1e-11
 
 @dataclass(frozen=True)
 class Shift:
-    """An additional unknown, without prior, in one observation, which then has no weight in the fit.
+    """An additional unknown without prior in one observation, which thereby loses its weight in the fit.
 
     `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y or z
     in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in an
@@ -70,16 +70,15 @@ MODULUS: Final = 4
 
 @dataclass(frozen=True)
 class Fit:
-    """Estimates of the 12 coefficients and the q other unknowns of a problem, and their joint covariance (12 + q,
-    12 + q).
+    """Estimates of all unknowns of a problem: the 12 coefficients `block`, then the q `others`.
 
-    `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 +
-    q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain` (12 + q, m, 3), the map
-    from the m readings of unknown orientation (free readings). `misfit` is the chi-square of residuals and
-    priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus` (m,) is |a| - 1
-    of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are the estimates of
-    the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear system of the
-    last step, with the final residuals.
+    `covariance` (12 + q, 12 + q) is their joint covariance; it uses the estimated `noise`, widened for its degrees
+    of freedom. `gain` (12 + q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain`
+    (12 + q, m, 3), the map from the m readings of unknown orientation (free readings). `misfit` is the chi-square
+    of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus`
+    (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are
+    the estimates of the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear
+    system of the last step, with the final residuals.
     """
 
     block: Block
@@ -110,10 +109,9 @@ def fit(
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3), starting from the block `start`.
 
-    The noise is estimated unless given, and is at least that of rounding to `resolution` (a rectangular
-    distribution of this width). Each of `shifts` is an additional unknown without prior. With `one_size` all
-    channels have equal noise; otherwise each has a separate size if they differ. Raises `CalibrationError` if the
-    fit does not converge.
+    The noise is estimated unless given. It is at least that of rounding to `resolution` (a rectangular distribution
+    of this width). The channels have equal noise with `one_size`, or if their noise does not differ significantly.
+    Each of `shifts` is an additional unknown without prior. Raises `CalibrationError` if the fit does not converge.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
@@ -220,10 +218,10 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Return a fit after repeating its last step for a `covariance` (3n + m, 3n + m) of 3n signals and m
-    moduli.
+    """Return a fit after repeating its last step with another covariance of the readings.
 
-    `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
+    `covariance` (3n + m, 3n + m) is that of the 3n signals and m moduli; `noise` is the noise in it. The
+    linearisation does not change.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -358,7 +356,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit from the values `others` (q,) of unknowns after the coefficients."""
+    """Return one step of the fit from the present values `others` (q,) of the unknowns after the coefficients."""
     return solve_rows(*whitened_rows(problem, system, noise, others))
 
 
@@ -417,7 +415,7 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit with `unknowns` unknowns that have no prior.
+    """Test the chi-square `misfit` of a fit with as many prior-free unknowns as `unknowns` says.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
@@ -439,9 +437,9 @@ def misfit_test(
 
 @dataclass(frozen=True)
 class WeightingTask:
-    """The input of an estimator's weighting: `signal` (n, 3) and its `fit` by generalised least squares.
+    """The input of `Estimator.weigh`: readings `signal` (n, 3) and their fit by generalised least squares.
 
-    `refit` repeats this fit with shifts for the signals that are to have no weight.
+    `refit` repeats the `fit` with shifts for the signals that are to have no weight.
     """
 
     problem: Problem

@@ -180,7 +180,7 @@ class LackOfFit:
     `chi2` with `dof` degrees of freedom is this misfit in units of the scatter, `p` its p-value (F test); NaN
     without enough repeats. If the noise was given, the whole misfit is tested against it. For the closed form,
     `chi2` and `p` are those of the least-squares fit to the same readings: they judge the model, not the estimator.
-    `rounding` is the rms residual that rounding leaves in noise-free readings, which no model can explain.
+    `rounding` is the rms residual that rounding leaves in noise-free readings; such a small `rms` is accepted.
     """
 
     rms: float
@@ -280,10 +280,10 @@ class Component:
 
 @dataclass(frozen=True)
 class BiasWander:
-    """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
+    """Estimated drift of the biases about their means over a run of `hours`.
 
-    `course` (n, 3) has the estimated deviation of the biases at each reading; `per_hour` (3,) is the slope of a
-    straight line through it.
+    `size` (3,) is its rms, in the unit of the signal. `course` (n, 3) has the estimated deviation of the biases at
+    each reading; `per_hour` (3,) is the slope of a straight line through it.
     """
 
     size: Floats
@@ -298,23 +298,23 @@ class Calibration(HasCovariance):
 
     `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined covariance; it includes the errors
     `sources` that no reading shows. `covariance_readings` is the part due to the readings and the stated stand
-    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K
-    is per local g. `dof` (12,) are effective degrees of freedom.
+    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, the relative u of gravity, is in
+    neither covariance: K is per local g. `dof` (12,) are effective degrees of freedom.
 
     `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the fitted parameters of effects. `fitted` are
-    the readings used, `residuals` (n, 3) measured minus fitted, with stand angles and effects at their estimates.
-    `free` are the readings that joined by their modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no
-    weight in the estimate.
+    the oriented readings used. `residuals` (n, 3) are measured minus fitted signals, with stand angles and effects
+    at their estimates. `free` are the readings used by their modulus only, `modulus_error` (m,) their |a| - 1, g.
+    `outliers` have no weight in the estimate.
 
-    `gain` (12, N, 3) is the linear map from the signals of the whole table to the coefficients, `slope` (N, 3)
-    du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share, `drift`
-    the wander of the biases if a wander was found, `wander` (3,) its possible rms. `birge` is the factor that
-    widened u for a lack of fit, `p_tails` the p-value of heavy tails.
+    `gain` (12, N, 3) is the linear map from the N rows of the whole table to the coefficients. `slope` (N, 3) is
+    du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share. `drift`
+    is a significant drift of the biases, or None; `wander` (3,) is the rms drift that is possible in any case.
+    `birge` is the factor that widened u for a lack of fit, `p_tails` the p-value of heavy tails.
 
     `triangular` is set for free positions alone; `signs` says whether the signs of their scale factors come from
-    the "bench file" or are all "positive". `assume` returns the sentences of `assumed`; `unseen` returns changes
-    (12, d) of the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences
-    for the user.
+    the "bench file" or are all "positive". `assume` returns the sentences of `assumed`. `unseen` returns changes
+    (12, d) of the coefficients, of relative size 1, that the readings do not show: only limits of the stand confine
+    them. `notes` are sentences for the user.
     """
 
     estimator: str
@@ -377,13 +377,13 @@ class Calibration(HasCovariance):
 
     @property
     def block_terms(self) -> Floats:
-        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each of the size of its u."""
+        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each equal to its u."""
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
-        """Sentences on assumptions that these data cannot test, with the cost of an error in each."""
+        """Sentences on assumptions that these data cannot test, each with the effect of a wrong assumption."""
         return self.assume()
 
     @property
@@ -393,7 +393,7 @@ class Calibration(HasCovariance):
 
     @property
     def temperatures_c(self) -> Floats:
-        """Temperatures of the block at the readings in the fit, oriented and free, °C, without unknown ones."""
+        """Known temperatures of the block at the readings in the fit, oriented and free, °C."""
         tables = [self.fitted, *([] if self.free is None else [self.free])]
         known = np.concatenate([table.temperature_c for table in tables])
         return np.asarray(known[np.isfinite(known)])

@@ -317,7 +317,7 @@ def temperature_model(
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
     `stand_u` is as for `calibrate`. Without `degree` the data choose the degree of each coefficient (see
-    `choose_degrees`), from the highest that the temperatures allow downwards. The covariance includes the
+    `choose_degrees`), from the highest that the temperatures allow downwards; the covariance then includes the
     uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, a row has no temperature,
     the temperatures are fewer than two or do not determine the polynomials, or the reference is outside their
     range.
