@@ -213,9 +213,8 @@ class Problem:
     def slope(self, block: Block, others: Floats) -> Floats:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
 
-        The derivative is taken at the coefficients `block` and the other unknowns `others` (stand angles, then
-        effect parameters, as in `stand_matrix`). Its product with a setting error of the head, rad, is the error
-        of the signals.
+        It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
+        parameters). Its product with a setting error of the head, rad, is the error of the signals.
         """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)

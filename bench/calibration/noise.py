@@ -1,8 +1,8 @@
 """The noise of the readings, estimated from repeats rather than assumed.
 
 A reading is the model plus a setting error, which acts on its three channels along d = du/dphi, plus independent
-noise in each channel with a size of its own. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) +
-sigma_phi^2 d d^T. The sizes maximise the restricted likelihood.
+noise of each channel. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The
+estimates of the four standard deviations maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -125,7 +125,7 @@ class KnownNoise:
 
 @dataclass(frozen=True)
 class KnownStand:
-    """Prior knowledge of the stand's angles from other runs, by kind and, where means differ, by installation.
+    """Prior knowledge of the stand's angles from other runs, for the whole stand or by installation.
 
     `keys` (k,) are pairs of a name in `STAND_ANGLES` and an installation ("" for all). `mean` (k,), rad, are mean
     angles and `covariance` (k, k), rad^2, is their covariance. `remount` maps a name to the standard deviation of
@@ -230,7 +230,10 @@ class RepeatScatter:
 
 @dataclass(frozen=True)
 class SharedRounding:
-    """The rounding error that readings of equal signals share: `groups` (n,), `variance` (3,) in x, y and z."""
+    """The rounding error that readings of equal signals share.
+
+    `groups` (n,) numbers the readings with equal signals; `variance` (3,) is that of the error in x, y and z.
+    """
 
     groups: Ints
     variance: Floats

@@ -219,8 +219,8 @@ class Outlier:
     """A signal that contradicts the model and the other readings; it keeps its place in the record.
 
     `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error divided by its u, and `weight`
-    the weight that the signal keeps in the fit.
+    "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` the same divided by its u, and
+    `weight` the weight that the signal keeps in the fit.
     """
 
     row: int
@@ -372,7 +372,7 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) without errors that cancel in later readings with the same meters."""
+        """Combined covariance (12, 12) for later readings with the same meters, whose common errors cancel."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property

@@ -317,7 +317,7 @@ def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mappin
 
 
 def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
-    """Return the model with the effects of the terms, each once and of size zero, as its only effects."""
+    """Return the model with no effects but those of the terms, each once and with the value zero."""
     homes = dict.fromkeys(HOMES[term] for term in terms)
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 

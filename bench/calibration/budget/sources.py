@@ -409,8 +409,8 @@ def _stated(
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
-    Without a stated u, it is the catalogue's plausible size. (A fit uses a wider prior, so that the data decide.)
-    For the effect of a meter temperature that was not recorded, see `unread_sources`.
+    If the file states no u, it is the catalogue's plausible size of the parameter. (A fit uses a wider prior, so
+    that the data decide.) For the effect of a meter temperature that was not recorded, see `unread_sources`.
     """
     problem, unread = setup.effect_problem, setup.conditions.meter_c is None
     for name, unknown in zip(problem.names(), problem.effects, strict=True):
