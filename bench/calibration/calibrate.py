@@ -72,8 +72,8 @@ def calibrate(
     `join_verification` the verification points join too, and are then no independent check. Without `find_shared`
     the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
     other runs: its angles replace those in `stand_u`, its noise is combined with that of the readings. `nominal`
-    are the nominal scale factors (x, y, z). A fit to free positions alone takes only their signs from it; without
-    it all signs are positive.
+    are nominal scale factors (x, y, z): free positions alone do not determine the signs, and take those of
+    `nominal`, or else positive ones.
 
     Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """

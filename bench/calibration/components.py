@@ -53,7 +53,8 @@ class SharedErrorFit:
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
     the signal. For a significant drift it is the estimate, widened for few degrees of freedom; for any other, the
-    posterior mean. No channel has less than the rms of all three. `wander` is None if no drift was searched for.
+    posterior mean. With components, no channel has less than the rms of all three. `wander` is None if no drift was
+    searched for.
     """
 
     fit: Fit
@@ -80,11 +81,11 @@ class _Term:
 def take_in(
     problem: Problem, fit: Fit, unit: str, floor: float = 0.0, rounding: SharedRounding | None = None
 ) -> SharedErrorFit:
-    """Return the fit with the variance components that its readings share.
+    """Return the fit with the variance components that its readings share added to its noise.
 
-    With a `rounding` error that repeats share, only this component is added. Otherwise components are searched
-    for, unless the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly exceeds its
-    lower limit `floor` (unit of the signal).
+    With a `rounding` error that repeats share, only this component is added. Otherwise the function searches for
+    components, but not if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly
+    exceeds its lower limit `floor` (unit of the signal).
     """
     try:
         if rounding is not None:

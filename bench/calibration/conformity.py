@@ -83,7 +83,7 @@ class DecisionRule:
 
     @classmethod
     def of(cls, asked: str | DecisionRule | None, guard_band: float | None = None) -> DecisionRule:
-        """Return the decision rule that the user typed by name; "simple" means simple acceptance.
+        """Return the decision rule with the name that the user typed; "simple" means simple acceptance.
 
         None gives the default rule, or the non-binary rule if a `guard_band` is given. A named rule without a guard
         band has w = U. Raises `CalibrationError` for an unknown rule or an unsuitable guard band.

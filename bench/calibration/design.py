@@ -151,9 +151,9 @@ class Problem:
     def names(self) -> list[str]:
         """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs in
-        several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". Where an effect's shape is uncertain,
-        the size of each further part is an unknown, "warm_up in other shapes (1)".
+        The name of an effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an
+        effect occurs more than once, its shape follows: "axis_wobble.sine(harmonic 2)". If the shape of an effect
+        is uncertain, each further part of the effect is an unknown: "warm_up in other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []

@@ -159,11 +159,11 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
 
 @dataclass(frozen=True)
 class System:
-    """The linear system of one step.
+    """The linear system of one step of the fit.
 
-    Its p unknowns are the active coefficients, the shifts, then the other unknowns of the problem. `left` (n, 3)
-    is measured minus predicted. `jacobian` (n, 3, p) are the derivatives of the readings by the unknowns; `slope`
-    (n, 3) is du/dphi. `free` are the equations of the moduli.
+    Its p unknowns are the active coefficients, then the shifts, then the other unknowns of the problem. `left` (n,
+    3) is measured minus predicted signals. `jacobian` (n, 3, p) are the derivatives of the readings by the
+    unknowns; `slope` (n, 3) is du/dphi. `free` are the equations of the moduli.
     """
 
     left: Floats
@@ -334,10 +334,10 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and its QR factors.
+    """One step of the fit: the change (p,) of the p unknowns, and their covariance (p, p).
 
-    The change is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has a row for each
-    of 3n signals, m moduli and the priors, and p columns.
+    `step` is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has p columns, and a row
+    for each of 3n signals, m moduli and the priors.
     """
 
     step: Floats
@@ -373,10 +373,10 @@ def solve_rows(rows: Floats, target: Floats, scale: Floats) -> Solution:
 def whitened_rows(
     problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the whitened equations of one iteration: rows (3n + m + q, p), targets, and scale (p,).
+    """Return the whitened equations of one iteration: rows (3n + m + q, p), their targets, and scale (p,).
 
-    n readings give 3n rows; m moduli and q priors follow. Each row has unit variance. Column j belongs to unknown j
-    divided by its scale. `others` are the present values of the unknowns after the coefficients.
+    The rows are 3n for n readings, then m for moduli and q for priors; each has unit variance. Column j belongs to
+    unknown j divided by its scale. `others` are the present values of the unknowns after the coefficients.
     """
     n, _, p = system.jacobian.shape
     free = system.free
@@ -398,9 +398,10 @@ def whitened_rows(
 
 
 def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None = None) -> LackOfFit:
-    """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square).
+    """Test the residuals of a fit against the scatter of repeats by an F test.
 
-    A `rounding` error that repeats share counts as noise.
+    If the noise was given, the test is a chi-square test against this noise. A `rounding` error that repeats share
+    counts as noise.
     """
     # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
@@ -415,7 +416,7 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit with as many prior-free unknowns as `unknowns` says.
+    """Test the chi-square `misfit` of a fit; `unknowns` is the number of its unknowns without a prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
@@ -456,11 +457,11 @@ def _as_it_is(task: WeightingTask) -> Fit:
 class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
-    An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented
-    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of its fit
-    to readings without errors or outliers. If another estimator has the same map, `counts_as` names that
-    estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
-    for unsuitable readings; if it is None, the estimator uses the angles of the readings.
+    An estimator with fixed weights uses oriented readings alone; its `gain` returns its linear map (12, n, 3). Any
+    other estimator has `weigh`, which returns its fit; a budget uses the map of its fit to readings without errors
+    or outliers. `counts_as` names another estimator with the same map, if there is one. `angles_rad` returns the
+    angles (n,) that the estimator assumes, and raises `CalibrationError` for unsuitable readings; if it is None,
+    the estimator uses the angles of the readings.
     """
 
     name: str

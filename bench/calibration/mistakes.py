@@ -204,9 +204,9 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Let a `SpoiledFit` raised within this context name the rows that deviate strongly.
+    """Context in which a `SpoiledFit` becomes a `CalibrationError` that names the deviating rows.
 
-    They replace its remedy, in a `CalibrationError`. Without such rows the `SpoiledFit` remains as it is.
+    Their names replace its remedy. If no row deviates strongly, the `SpoiledFit` is raised unchanged.
     """
     try:
         yield

@@ -81,9 +81,10 @@ class KnownNoise:
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
-        """Return the noise `own` of a run combined with this prior.
+        """Return the noise `own` of a run combined with this prior, or `own` alone.
 
-        Return `own` alone if its degrees of freedom suffice, or if it contradicts the prior.
+        `own` stays alone if it contradicts the prior, if it was given, or if it has enough degrees of freedom to do
+        without a prior from the bench file.
         """
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
@@ -252,12 +253,12 @@ class SharedRounding:
 
 
 def rounding_variance(noise: Floats, floor: float) -> Floats:
-    """Return the variance (k,) of the rounding error that repeats share, for noise `noise` (k,).
+    """Return the variance (k,) of the rounding error that repeats share, for k standard deviations of noise.
 
-    `noise` are standard deviations that include rounding. `floor` is the standard deviation of rounding: the last
-    digit divided by root 12. The mean of many repeats keeps the harmonics of the rounding error that the noise does
-    not smooth away (B. Widrow and I. Kollar, Quantization Noise, 2008, chapter 4). The result falls from floor^2
-    without noise to zero for noise above half a digit.
+    `noise` (k,) includes rounding. `floor` is the standard deviation of rounding: the last digit divided by root
+    12. The mean of many repeats keeps the harmonics of the rounding error that the noise does not smooth away (B.
+    Widrow and I. Kollar, Quantization Noise, 2008, chapter 4). The result falls from floor^2 without noise to zero
+    for noise above half a digit.
     """
     step2 = 12.0 * floor**2
     own = np.maximum(np.square(noise) - floor**2, 0.0)

@@ -35,12 +35,12 @@ class DirectionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Direction:
-    """A null direction: a change of several unknowns together that changes no reading.
+    """A null direction: a change of unknowns that changes no reading.
 
     `members` maps names to changes, in SI units and the unit of the signals: angles and effects before
-    coefficients, the largest first. They are the changes by a turn of one radian; in a direction that is no turn,
-    those by one unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` says
-    which combination of two angles the readings do show ("sum" or "difference"), else it is empty.
+    coefficients, the largest first. For a turn they are changes per radian of the turn; for another direction, per
+    unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` says which
+    combination of two angles the readings do show ("sum" or "difference"), else it is empty.
     """
 
     kind: DirectionKind

@@ -33,7 +33,7 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class StatedOrientation:
-    """The orientations that a bench file states in `model`, and the u of a direction measured by the block."""
+    """The orientations that a bench file states (`model`), and u (rad) of a direction that the block measures."""
 
     model: ForwardModel
     u_rad: float

@@ -83,7 +83,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """The prior of the noise that a fit combined with its residuals, and a test of the residuals against it.
+    """The prior of the noise, and a test of the residuals against it.
 
     The standard deviations are `reading` (unit of the signal) and `setting_rad`; each variance has a scaled inverse
     chi-square distribution with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
@@ -308,8 +308,8 @@ class Calibration(HasCovariance):
 
     `gain` (12, N, 3) is the linear map from the N rows of the whole table to the coefficients. `slope` (N, 3) is
     du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share. `drift`
-    is a significant drift of the biases, or None; `wander` (3,) is the rms drift that is possible in any case.
-    `birge` is the factor that widened u for a lack of fit, `p_tails` the p-value of heavy tails.
+    is a significant drift of the biases, or None; `wander` (3,) is as in `SharedErrorFit`. `birge` is the factor
+    that widened u for a lack of fit, `p_tails` the p-value of heavy tails.
 
     `triangular` is set for free positions alone; `signs` says whether the signs of their scale factors come from
     the "bench file" or are all "positive". `assume` returns the sentences of `assumed`. `unseen` returns changes
@@ -372,7 +372,7 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) for later readings with the same meters, whose common errors cancel."""
+        """Combined covariance (12, 12) without the errors that cancel in later readings with the same meters."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property

@@ -207,10 +207,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): the changes of the terms if one more is kept.
+    """The chosen `degrees` (12,), and the changes (2, 12, D + 1) if a coefficient keeps one more term.
 
-    In `doubts[i, j]` coefficient j keeps in addition the power `degrees[j]` + 1 + i of temperature. The entries are
-    the changes of the terms of coefficient j; they are zero if that power was not dropped.
+    `doubts[i, j]` are the changes of the terms of coefficient j if it also keeps the power `degrees[j]` + 1 + i of
+    temperature. They are zero if that power was not dropped.
     """
 
     degrees: Ints

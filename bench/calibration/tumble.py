@@ -442,9 +442,9 @@ def combine(
 ) -> TumbleView:
     """Return the view with its combined covariance, which adds the errors that no reading shows.
 
-    The estimated `terms` add no uncertainty of a prior. `day` is the date of the readings, from which the drift
-    since each certificate follows. For a view in another unit than volts, a note says that errors of voltmeters are
-    left out.
+    It has no part from priors of the `terms`, because these are estimated. `day` is the date of the readings, from
+    which the drift since each certificate follows. For a view in another unit than volts, a note says that errors
+    of voltmeters are left out.
     """
     taken = MeasuredReadings(view.fitted, view.block, meters_of(bench), view.slope)
     covariance = view.covariance.copy()

@@ -192,7 +192,7 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
 class AtMagnitude(ResultModel):
     """Standard uncertainties (g) of a measured acceleration of one magnitude, over all directions.
 
-    For the acceleration vector and for its modulus: the mean and the largest over the directions.
+    They are the mean and the largest over the directions, for the vector and for its modulus.
     """
 
     magnitude_g: float

@@ -35,7 +35,7 @@ _SAME_FORCE_G: Final = 1e-6
 
 @dataclass(frozen=True)
 class Setup:
-    """The readings of a budget, with their model and block.
+    """The readings that a budget is for, with the model of the bench and the block.
 
     `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x, y,
     z: channels with the same number share a meter.
@@ -463,7 +463,7 @@ def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance at times (n,).
 
     If the correlation time is infinite, the process is a constant, and averaging over passes does not reduce it.
-    This is assumed for limits that do not state how a quantity varies within them (GUM, 4.3.7).
+    Limits do not state how a quantity varies within them: for these it is infinite (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

@@ -52,7 +52,7 @@ class ErrorSource:
     The error is in `unit` (SI); `common` says which readings share a draw. `origin` says where the distribution
     comes from; `prior` marks a plausible one that nobody stated. `factors` multiply the error where it acts
     (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and `written_in` has the unit
-    of model files and this unit in SI. The error acts on `channels`; K2 and K3 act only on channels without such an
+    of model files and its value in SI. The error acts on `channels`; K2 and K3 act only on channels without such an
     effect in the model. For correlated draws, `root` (q, k) turns k independent draws into q correlated ones. If
     the source describes means of stand angles over mountings, `angles` names these angles. `correlation_s` is the
     correlation time of an error that is common in "time".
@@ -117,7 +117,7 @@ LEARNED: Final = message("learned of the bench")
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's error sources for readings in the mountings `mounts`, as other runs `known` tell.
+    """Return the stand's error sources for the mountings `mounts`, given knowledge from other runs.
 
     An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
     deviations keep the names of the `stated` sources; the means form one source with correlated draws. Reading

@@ -96,8 +96,8 @@ def hidden_sources(
 ) -> tuple[ErrorSource, ...]:
     """Return the sources that no reading shows and no fit estimates.
 
-    If the bench file does not state a source, its distribution is assumed, or it is absent. `meters` are errors
-    inferred from learned differences between the meters; they replace the voltmeters' sources.
+    If the bench file does not state an error, its distribution is assumed, or the source is left out. `meters` are
+    errors inferred from learned differences between the meters; they replace the voltmeters' sources.
     """
     return (
         *_voltmeter_sources(bench, day, meters),
@@ -196,7 +196,7 @@ def _voltmeter_sources(
 def meter_gain_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[ErrorSource]:
     """Yield the errors of the voltmeters' gains on `day`.
 
-    If the bench file states none, they follow from certificates or makers' limits.
+    Without a statement of the bench file, they follow from certificates or makers' limits.
     """
     return (one for one in _voltmeter_sources(bench, day, None) if one.kind == "voltmeter_gain")
 
