@@ -109,7 +109,7 @@ class DecisionRule:
 
     @property
     def false_acceptance(self) -> float | None:
-        """The probability of a false acceptance that sets the guard band; None if the band is a multiple of U."""
+        """Probability of a false acceptance that sets the guard band; None if the band is a multiple of U."""
         return FALSE_ACCEPTANCE if self.guard_band is None else None
 
     def to_json(self) -> dict[str, str | float | None]:
@@ -394,7 +394,7 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: fractions of a population that are accepted but nonconforming, or rejected but conforming."""
+    """Fractions of a population that are accepted but nonconforming, or rejected but conforming."""
 
     false_accept: float
     false_reject: float

@@ -149,7 +149,7 @@ class Problem:
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
-        """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
+        """Return names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
         The name of an effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an
         effect occurs more than once, its shape follows: "axis_wobble.sine(harmonic 2)". If the shape of an effect

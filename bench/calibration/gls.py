@@ -356,7 +356,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit from the present values `others` (q,) of the unknowns after the coefficients."""
+    """Return one step of the fit; `others` (q,) are the present values of the unknowns after the coefficients."""
     return solve_rows(*whitened_rows(problem, system, noise, others))
 
 

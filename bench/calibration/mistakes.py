@@ -49,7 +49,10 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for a signal that is overloaded or no number; `angles` checks the angles, too."""
+    """Raise `CalibrationError` for an overloaded signal or one that is no number.
+
+    With `angles`, an angle that is no number raises it, too.
+    """
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if np.any(bad):
         raise CalibrationError(f"{_place(rows, bad)} has a signal that is not a number; remove this reading")
@@ -173,7 +176,7 @@ def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
 
 
 def refuse_singular(block: Block, u: Floats | None = None) -> None:
-    """Raise `CalibrationError` if the channels do not span three axes: one does not respond, or two are parallel.
+    """Raise `SpoiledFit` if a channel does not respond, or the sensitive axes do not span three dimensions.
 
     `u` (12,) are the standard uncertainties of the coefficients, if known.
     """

@@ -213,7 +213,7 @@ class RepeatScatter:
 
     @property
     def settings(self) -> int:
-        """Degrees of freedom of all repeats, counted in settings of the head; each setting has three signals."""
+        """Degrees of freedom of all repeats, counted in settings of the head (three signals each)."""
         return int(self.freedom.sum())
 
     def chi_square(self, variances: Floats) -> float:

@@ -25,7 +25,7 @@ MOST_NAMED: Final = 2
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Verification points whose readings contradict the stated orientation (`points`, a mask), and a sentence."""
+    """Verification points that contradict the stated orientation (mask `points`), and a sentence on them."""
 
     points: Mask
     sentence: str
@@ -33,7 +33,7 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class StatedOrientation:
-    """The orientations that a bench file states (`model`), and u (rad) of a direction that the block measures."""
+    """The orientations that a bench file states, and u (rad) of a direction that the block measures."""
 
     model: ForwardModel
     u_rad: float

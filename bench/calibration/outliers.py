@@ -82,7 +82,7 @@ def looks(problem: Problem) -> int:
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the critical value: the largest studentised residual exceeds it by chance with probability `LEVEL`."""
+    """Return the critical value of the largest studentised residual, for the significance level `LEVEL`."""
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 

@@ -18,7 +18,7 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 
 class SpoiledFit(CalibrationError):
-    """The error of a fit that a few wrong readings may have spoiled; its arguments are the problem and a remedy."""
+    """The error of a fit that a few wrong readings may have spoiled: the problem, and what to check."""
 
     def __str__(self) -> str:
         """Return the sentence."""

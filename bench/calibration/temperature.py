@@ -95,8 +95,8 @@ def inner_range(low_c: float, high_c: float) -> str:
 def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     """Sort the oriented rows of tables into mountings, visits and plateaus.
 
-    Each table is in the order of measurement. Raises `CalibrationError` if the tables differ in unit, have no
-    oriented row, or an oriented row has no temperature.
+    The rows of each table are in the order of measurement. Raises `CalibrationError` if the tables differ in unit,
+    have no oriented row, or an oriented row has no temperature.
     """
     units = {table.unit: table.source for table in tables}
     if len(units) > 1:
@@ -485,7 +485,7 @@ def _least_u(model: TemperatureModel) -> float:
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
-    """Return the errors of the table, g, keyed by their names in the result."""
+    """Return the errors of the table by their names in the result, with the number of temperatures compared."""
     error = table.error
     return {
         "interpolation_bias_g": error.bias,

@@ -174,8 +174,9 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
 
 
 def directions(count: int = DIRECTIONS) -> Floats:
-    """Return unit vectors (count + 6, 3): `count` spread evenly over the sphere (golden spiral), then six along the
-    axes.
+    """Return unit vectors (count + 6, 3) in all directions, for means and maxima over the sphere.
+
+    The first `count` are spread evenly over the sphere (golden spiral), the last six lie along the axes.
     """
     i = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i

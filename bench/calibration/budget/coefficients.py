@@ -462,8 +462,8 @@ HARDLY_ANY: Final = 1e-3
 def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
     """Return the principal components (n, q) of a stationary process of unit variance at times (n,).
 
-    If the correlation time is infinite, the process is a constant, and averaging over passes does not reduce it.
-    Limits do not state how a quantity varies within them: for these it is infinite (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce. This
+    suits limits that do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))

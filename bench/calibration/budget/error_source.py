@@ -211,7 +211,7 @@ class TiltRate:
         )
 
     def source(self) -> ErrorSource:
-        """Return the tilt rate as an error source of a bench, with the larger of the two standard uncertainties."""
+        """Return the tilt rate as one error source, with the larger of the two standard uncertainties."""
         size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
         return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
 
@@ -233,7 +233,10 @@ class TiltRate:
 def tilt_patterns(
     conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
 ) -> tuple[Floats, Floats]:
-    """Return the changes of the signals, V, (n, 3) each, by a tilt rate of 1 rad/s along and across the shaft."""
+    """Return the changes of the signals (V) by a tilt rate of 1 rad/s along and across the shaft.
+
+    Each of the two is (n, 3).
+    """
     time_s = np.nan_to_num(conditions.elapsed_s)
     begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
     gone_s = (time_s - begun[conditions.mount])[:, None]

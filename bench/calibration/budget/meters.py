@@ -56,9 +56,10 @@ class Size:
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
     """Return the uncertainty of a meter's relative gain, or of its zero in V, on the day of the readings.
 
-    With a certificate, u² = (U / k)² + a² / 3. Here a is the drift since the calibration: the certified drift
-    per year times the years, or else the maker's limits for that time. Without a certificate, the maker's 90-day
-    limits apply. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
+    With a certificate, u² = (U / k)² + a² / 3. Here a is the drift since the calibration: the certified drift per
+    year times the years, or else the maker's limits for that time. If `day` is None, the drift is that until the
+    certificate's validity ends. Without a certificate, the maker's 90-day limits apply. Source: JCGM 100:2008,
+    4.3.3, 4.3.7, (G.2b).
     """
     found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
