@@ -26,11 +26,12 @@ STILL: Final = 1e-3
 
 @dataclass(frozen=True)
 class AboveOneG:
-    """Points above 1 g that joined a fit at 1 g, and how well they agree with it.
+    """Points above 1 g that joined a fit at 1 g, and a test of their agreement with it.
 
-    `force` (n, 3) is the specific force at the points, g. `gain` (12 + q, n, 3) is the linear map from the
-    signals at the points to the unknowns. `chi2` is the chi-square of the points against the fit at 1 g. `dof` is
-    the number of signals minus the unknowns that readings at 1 g leave free.
+    `force` (n, 3) is the specific force at the points, g. `gain` (12 + q, n, 3) is the linear map from the signals
+    at the points to the unknowns. `chi2` is the chi-square of the points against the fit at 1 g. `dof` are its
+    degrees of freedom: the number of signals minus the number of unknowns that the readings at 1 g do not
+    determine.
     """
 
     force: Floats
@@ -59,8 +60,8 @@ def join(
 ) -> tuple[Fit, AboveOneG]:
     """Return the joint fit of the readings at 1 g and the `points`, and the test of their agreement.
 
-    The `fit` at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that the readings at 1
-    g leave free. Raises `CalibrationError` if the iteration does not converge.
+    The `fit` at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that the readings at 1 g
+    do not determine. Raises `CalibrationError` if the iteration does not converge.
     """
     force = points.force_ms2 / g_m_s2
     conditions, kept = Conditions.of(["1"] * len(force), np.zeros(len(force))), np.isfinite(points.signal)

@@ -61,18 +61,19 @@ def calibrate(
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
-    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties of the stand's fixed angles, rad. It may
-    also hold "voltmeter_error" (in the unit of the signals) and "setting_error" (rad): priors of the noise,
-    used if the readings leave too few degrees of freedom to estimate it. `noise` replaces the estimate
-    altogether. `assumed_u` holds assumed uncertainties of other stand angles; they enter `covariance`, but not
-    `covariance_readings`. The coefficients are per local g, stated as `g_m_s2`.
+    `stand_u` maps names in `STAND_ANGLES` to standard uncertainties of the stand's fixed angles, rad. It may also
+    hold "voltmeter_error" (in the unit of the signals) and "setting_error" (rad): priors of the noise, used if the
+    readings leave too few degrees of freedom to estimate it. `noise` replaces the estimate altogether. `assumed_u`
+    holds assumed uncertainties of other stand angles; they enter `covariance`, but not `covariance_readings`. The
+    coefficients are per local g, stated as `g_m_s2`.
 
     With `nominal_angles` the target angles replace the angles read back. Free positions join the fit through |a| =
     1 g unless `join_free` is false; in a fit to free positions alone K is upper triangular by convention. With
     `join_verification` the verification points join too, and are then no independent check. Without `find_shared`
     the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
-    other runs: its angles replace those in `stand_u`, its noise is combined with that of the repeats. `nominal` are
-    the scale factors (x, y, z) that give the signs for free positions alone; without them all are positive.
+    other runs: its angles replace those in `stand_u`, its noise is combined with that of the readings. `nominal`
+    are nominal scale factors (x, y, z): free positions alone do not determine the signs, and take those of
+    `nominal`, or else positive ones.
 
     Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """
@@ -273,9 +274,9 @@ def first_guess(
 ) -> Block:
     """Return a first guess of the block by ordinary least squares at the nominal geometry.
 
-    Free positions alone are fitted with an ellipsoid instead, with the signs of the `nominal` scale factors. Raises
-    `CalibrationError` for too few orientations, and for mistakes that such a fit reveals, such as a wrong angle
-    unit or saturation.
+    If there are only free positions, an ellipsoid is fitted to them, and the scale factors have the signs of the
+    `nominal` ones. Raises `CalibrationError` for too few orientations, and for mistakes that such a fit reveals,
+    such as a wrong angle unit or saturation.
     """
     if problem.upper and problem.free is not None:
         mistakes.refuse_saturated_free(problem.free.signal)

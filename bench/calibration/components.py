@@ -52,8 +52,9 @@ class SharedErrorFit:
 
     `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
     without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal: of a significant drift, the estimate widened for few degrees of freedom; of any other drift, the
-    posterior mean. `wander` is None if no drift was searched for.
+    the signal. For a significant drift it is the estimate, widened for few degrees of freedom; for any other, the
+    posterior mean. With components, no channel has less than the rms of all three. `wander` is None if no drift was
+    searched for.
     """
 
     fit: Fit
@@ -80,11 +81,11 @@ class _Term:
 def take_in(
     problem: Problem, fit: Fit, unit: str, floor: float = 0.0, rounding: SharedRounding | None = None
 ) -> SharedErrorFit:
-    """Return the fit with the variance components that its readings share.
+    """Return the fit with the variance components that its readings share added to its noise.
 
-    With a `rounding` error that repeats share, only this component is added. Otherwise components are searched
-    for, unless the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly exceeds its
-    lower limit `floor` (unit of the signal).
+    With a `rounding` error that repeats share, only this component is added. Otherwise the function searches for
+    components, but not if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly
+    exceeds its lower limit `floor` (unit of the signal).
     """
     try:
         if rounding is not None:
@@ -120,7 +121,10 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
 
 
 def rounding_of(problem: Problem, fit: Fit, resolution: float) -> SharedRounding | None:
-    """Return the error of rounding to `resolution` that repeats share; None if the noise smooths it away."""
+    """Return the error of rounding to `resolution` that repeats share; None if the noise smooths it away.
+
+    Also None if the noise is not from repeats, or the signals are more than `MOST_SIGNALS`.
+    """
     digit = resolution / np.sqrt(12.0)
     large = 3 * len(problem.conditions) > MOST_SIGNALS
     if large or fit.noise.source != "repeats" or not _is_rounded(fit.noise, digit):
@@ -312,10 +316,10 @@ def _walk(time_s: Floats) -> Floats:
 
 
 def walk_since(time_s: Floats, later_s: Floats) -> Floats:
-    """Return the covariance (v, v) at times `later_s` (v,) of a random walk minus its mean over `time_s` (n,).
+    """Return the covariance (v, v), at times `later_s` (v,), of a random walk minus its mean over a run.
 
-    The walk is scaled so that its mean variance over `time_s` is 1; the size of a drift is stated on the same
-    scale.
+    `time_s` (n,) are the times of the run. The walk is scaled so that its mean variance over the run is 1. The
+    standard deviation of a drift refers to the same scale.
     """
     begin = min(float(time_s.min()), float(later_s.min()))
     at, then = time_s - begin, later_s - begin
@@ -394,8 +398,8 @@ def _drift(
 def heavy_tails(problem: Problem, fit: Fit) -> float:
     """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
 
-    The statistic is the excess kurtosis of the normalised deviations of repeats. With N degrees of freedom,
-    its standard deviation is sqrt(24/N).
+    The test statistic is the excess kurtosis of the normalised deviations of repeats from their means. Its standard
+    deviation is sqrt(24/N) for N degrees of freedom.
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")
@@ -439,7 +443,10 @@ _UNITS: Final = {ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
 def notes_on_noise(
     noise: Noise, tails: float, shared: SharedErrorFit, birge: float, unit: str
 ) -> tuple[str, ...]:
-    """Return notes on the noise; `tails` is the p-value of heavy tails, `birge` the Birge ratio that widened u."""
+    """Return notes on the noise, its prior, its heavy tails, and the errors that readings share.
+
+    `tails` is the p-value of heavy tails, `birge` the Birge ratio by which a lack of fit widened u.
+    """
     notes = [*note_on_prior(noise, unit), *note_on_excess(noise)]
     if noise.channels is not None and noise.p_equal < UNEQUAL_P:
         sizes = ", ".join(f"{c} {size:.2g} {unit}" for c, size in zip(CHANNELS, noise.channels, strict=True))
@@ -474,12 +481,12 @@ def notes_on_noise(
 
 
 def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
-    """Return a note, if u depends on a prior of the noise, on whether the readings agree with this prior."""
+    """Return a note on whether the readings agree with the prior of the noise; none without a prior."""
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 
 def note_on_excess(noise: Noise) -> tuple[str, ...]:
-    """Return a note if residuals without repeats exceed the noise that the bench file states (p < `EXCESS_P`)."""
+    """Return a note if the residuals exceed the stated noise of the bench file (one-sided p < `EXCESS_P`)."""
     of = noise.stated
     if of is None or not (of.ratio > 1.0 and of.p / 2 < EXCESS_P):  # p is two-sided
         return ()

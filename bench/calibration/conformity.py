@@ -55,9 +55,7 @@ _FAR: Final = 12.0
 
 
 class Statement(StrEnum):
-    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none; in order from best to
-    worst.
-    """
+    """A statement of conformity (ILAC-G8:09/2019, 4.2), or the reason for none, from best to worst."""
 
     PASS = message("pass", "statement")
     CONDITIONAL_PASS = message("conditional pass")
@@ -72,11 +70,12 @@ class Statement(StrEnum):
 class DecisionRule:
     """A decision rule: `name` is one of `RULES`, the guard band is w = `guard_band` · U.
 
-    Simple acceptance accepts up to the limit, and uses w = U only for its statements. The guarded rule accepts up
-    to limit − w, and so does the non-binary rule. Under the non-binary rule, values from there to the limit are
-    conditional passes, on which the customer decides. Values beyond the limit are rejected: up to limit + w they
-    are conditional fails. If `guard_band` is None (the default rule), w makes the probability of a false acceptance
-    equal to `FALSE_ACCEPTANCE`.
+    Simple acceptance accepts values up to the limit, and uses w = U only for its statements. The guarded and the
+    non-binary rule accept values up to limit − w. Values between limit − w and the limit are rejected by the
+    guarded rule; for the non-binary rule they are conditional passes, on which the customer decides. Values beyond
+    the limit are rejected: up to limit + w they are conditional fails. If U exceeds the limit, no value is accepted
+    (see `statements`). If `guard_band` is None (the default rule), w makes the largest probability of a false
+    acceptance equal to `FALSE_ACCEPTANCE`.
     """
 
     name: str = NON_BINARY
@@ -84,10 +83,10 @@ class DecisionRule:
 
     @classmethod
     def of(cls, asked: str | DecisionRule | None, guard_band: float | None = None) -> DecisionRule:
-        """Return the rule for a name as typed by the user; "simple" means simple acceptance.
+        """Return the decision rule with the name that the user typed; "simple" means simple acceptance.
 
-        None gives the default rule, or with a guard band the non-binary rule. A named rule without a guard band has
-        w = U. Raises `CalibrationError` for an unknown rule or an unsuitable guard band.
+        None gives the default rule, or the non-binary rule if a `guard_band` is given. A named rule without a guard
+        band has w = U. Raises `CalibrationError` for an unknown rule or an unsuitable guard band.
         """
         if isinstance(asked, DecisionRule):
             return asked
@@ -110,7 +109,7 @@ class DecisionRule:
 
     @property
     def false_acceptance(self) -> float | None:
-        """The probability of a false acceptance that sets the guard band; None if the band is a multiple of U."""
+        """Probability of a false acceptance that sets the guard band; None if the band is a multiple of U."""
         return FALSE_ACCEPTANCE if self.guard_band is None else None
 
     def to_json(self) -> dict[str, str | float | None]:
@@ -132,16 +131,16 @@ class DecisionRule:
         return self.name if self.name == SIMPLE else message(f"{self.name} (w = {times}U)")
 
     def acceptance_limit(self, limit: float, known: MeasuredValues) -> Floats:
-        """Return the largest |y| that is accepted, for each of n measured values, (n,).
+        """Return the largest accepted |y| of each of n measured values, shape (n,).
 
-        A negative result means that no value is accepted, for example because U exceeds the limit. Source:
-        JCGM 106:2012, 8.2.1 and 8.3.2.1.
+        A negative result means that no value is accepted, for example because U exceeds the limit. Source: JCGM
+        106:2012, 8.2.1 and 8.3.2.1.
         """
         sure = self.pass_limit(limit, known)
         return np.where(known.expanded <= limit, limit, sure) if self.name == SIMPLE else sure
 
     def pass_limit(self, limit: float, known: MeasuredValues) -> Floats:
-        """Return the largest |y| that is stated to pass, (n,); negative if no value passes."""
+        """Return the largest |y| (n,) with the statement "pass"; negative if no value passes."""
         if self.guard_band is None:
             capable = known.expanded <= limit
             return np.where(capable, _largest_sure(limit, known), limit - known.expanded)
@@ -163,9 +162,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        Where U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard
-        band and U; otherwise it is inconclusive. Beyond the limit, the guard band follows from the
-        measurement alone, without the population.
+        If U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard band and U;
+        otherwise it is inconclusive. The guard band beyond the limit follows from the measurement alone, without
+        the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
@@ -191,7 +190,10 @@ def _statement(size: float, guard: float, expanded: float, passes_to: float, lim
 
 @dataclass(frozen=True)
 class MeasuredValues:
-    """Uncertainties of n measured values: u, U and degrees of freedom, each (n,), and a population as prior."""
+    """Standard and expanded uncertainties (n,) of n measured values, and the prior of the measurand.
+
+    `dof` (n,) are the degrees of freedom; `population` is the prior, None without prior knowledge.
+    """
 
     u: Floats
     expanded: Floats
@@ -209,7 +211,7 @@ class MeasuredValues:
         return replace(self, u=times * self.u, expanded=times * self.expanded)
 
     def outside(self, value: ArrayLike, limit: float) -> Floats:
-        """Return the probability (n,) that the measurand lies outside ±limit, for measured values (n,)."""
+        """Return the probabilities (n,) that the measurands of the measured values (n,) lie outside ±limit."""
         return probability_outside(value, self.u, limit, self.dof, self.population)
 
 
@@ -303,8 +305,8 @@ def probability_one_outside(
 ) -> float:
     """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) has a normal distribution with the covariance `covariance` (n, n). `population` is the prior of
-    each quantity. The quantities are either equal or independent, with the prior probabilities `_ALIKE`.
+    `value` (n,) are measured values whose errors are normal with the `covariance` (n, n). `population` is the prior
+    of each quantity; the quantities are then either equal or independent, with the prior probabilities `_ALIKE`.
 
     The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
     0.0003. It is limited to lie between the largest of the n single probabilities and their sum.
@@ -326,7 +328,7 @@ def probability_one_outside(
 def probability_worst_outside(
     value: Floats, covariance: Floats, limit: float, population: Population
 ) -> float:
-    """Return the probability that a quantity lies outside ±limit, given all n values, for the worst quantity.
+    """Return the largest of the n probabilities that a quantity lies outside ±limit, given all values.
 
     See `probability_one_outside` for the arguments.
     """
@@ -392,17 +394,17 @@ class Population:
 
 @dataclass(frozen=True)
 class GlobalRisk:
-    """Global risks: fractions of a population that are accepted but nonconforming, or rejected but conforming."""
+    """Fractions of a population that are accepted but nonconforming, or rejected but conforming."""
 
     false_accept: float
     false_reject: float
 
 
 def global_risk(population: Population, u: float, limit: float, accepted_up_to: float) -> GlobalRisk:
-    """Return the global risks of accepting values, measured with uncertainty `u`, up to ±`accepted_up_to`.
+    """Return the global risks if values measured with uncertainty `u` are accepted up to ±`accepted_up_to`.
 
-    The double integral over true and measured value has an inner
-    integral in closed form. Source: JCGM 106:2012, 9.5.
+    The double integral over true and measured value has an inner integral in closed form. Source: JCGM 106:2012,
+    9.5.
     """
     from scipy.integrate import quad
 

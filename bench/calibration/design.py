@@ -48,7 +48,8 @@ MOST_KEPT: Final = 3
 class StandUnknown:
     """An unknown stand angle of one mounting, with mean and standard deviation of its prior, rad.
 
-    `mount` indexes the mountings, `column` indexes `STAND_ANGLES`. If `measured`, the prior comes from a level.
+    `mount` is the index of the mounting, `column` that of the angle in `STAND_ANGLES`. If `measured`, a level gave
+    the prior.
     """
 
     mount: int
@@ -60,10 +61,10 @@ class StandUnknown:
 
 @dataclass(frozen=True)
 class EffectUnknown:
-    """An unknown parameter of an effect, for one channel or for all (None), with its prior in SI units.
+    """An unknown parameter of an effect, with its prior in SI units.
 
-    `effect` indexes the model's effects. `stated` is false if nobody stated a prior and a weak default prior is
-    used.
+    `effect` is the index of the effect in the model. `channel` is None for a parameter common to all channels.
+    `stated` is false if nobody stated a prior: a weak one is then used.
     """
 
     effect: int
@@ -100,8 +101,8 @@ class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
     `free` are readings of which only the modulus |a| = 1 g is used. `upper` constrains K to be upper triangular, as
-    a fit to free readings alone requires. `hang` (q, q) is the lower Cholesky factor of the priors' correlation
-    matrix, None if they are independent. `noise` is prior knowledge of the noise, or None.
+    a fit to free readings alone requires. `hang` (q, q) is the lower Cholesky factor of the correlation matrix of
+    the priors, None if the priors are independent. `noise` is prior knowledge of the noise, or None.
     """
 
     model: ForwardModel
@@ -148,11 +149,11 @@ class Problem:
         return scaled if self.hang is None else np.asarray(scaled @ self.hang)
 
     def names(self) -> list[str]:
-        """Return the names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
+        """Return names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
 
-        An effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an effect occurs in
-        several shapes, the shape follows: "axis_wobble.sine(harmonic 2)". Where an effect's shape is uncertain,
-        the size of each further part is an unknown, "warm_up in other shapes (1)".
+        The name of an effect limited to some installations ends with these: "turn_on_shift.step[y][2]". If an
+        effect occurs more than once, its shape follows: "axis_wobble.sine(harmonic 2)". If the shape of an effect
+        is uncertain, each further part of the effect is an unknown: "warm_up in other shapes (1)".
         """
         stand = [f"{SYMBOLS[STAND_ANGLES[s.column]]}[{self.conditions.mounts[s.mount]}]" for s in self.stand]
         effects = []
@@ -177,7 +178,7 @@ class Problem:
         return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
-        """Return the stand angles (mounts, 5), rad, from the unknowns `others` (q,); other angles are zero."""
+        """Return the stand angles (mounts, 5), rad, with the values in `others` (q,), zero where not unknown."""
         matrix = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         for value, unknown in zip(others, self.stand, strict=False):
             matrix[unknown.mount, unknown.column] = value
@@ -212,17 +213,14 @@ class Problem:
     def slope(self, block: Block, others: Floats) -> Floats:
         """Return the derivative of the signals with respect to the head angle, unit/rad, shape (n, 3).
 
-        The derivative is taken at the coefficients `block` and the other unknowns `others` (stand angles, then
-        effect parameters, as in `stand_matrix`). Its product with a setting error of the head, rad, is the error
-        of the signals.
+        It is taken at the coefficients `block` and the other unknowns `others` (stand angles, then effect
+        parameters). Its product with a setting error of the head, rad, is the error of the signals.
         """
         forward, back = (self.predict(block, others, step) for step in (STEP_RAD, -STEP_RAD))
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives (n, 3, 12 + q) of the readings by the 12 coefficients and the q other
-        unknowns.
-        """
+        """Return the derivatives (n, 3, 12 + q) of the readings by the coefficients, then by the q others."""
         return self.linear(block, others).jacobian
 
     def linear(self, block: Block, others: Floats) -> Linearisation:
@@ -246,10 +244,10 @@ class Problem:
         return Linearisation(block.output(force), columns, by_angle @ block.K.T)
 
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
-        """Return the specific forces (n, 3), g, and their derivatives by the head angle and by the stand angles.
+        """Return the specific forces (n, 3), g, their derivatives by the head angle, and by the stand angles.
 
-        The last item maps each unknown column of `STAND_ANGLES` to derivatives (n, 3) by this angle, in the
-        mounting of the row. All steps go through the forward model in one call: each step adds a set of mountings.
+        The last item maps each unknown column of `STAND_ANGLES` to the derivatives (n, 3) by this angle in the
+        mounting of the row. One call of the forward model computes all steps.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)
@@ -319,7 +317,10 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def other_step(self, j: int) -> Floats:
-        """Return the step (q,) of the central difference by unknown `j` after the coefficients, zero elsewhere."""
+        """Return the step (q,) of the central difference by unknown `j` after the coefficients.
+
+        It is zero for all other unknowns.
+        """
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
@@ -341,7 +342,7 @@ def make_problem(
     free: FreeRows | None = None,
     known: KnownStand | None = None,
 ) -> Problem:
-    """Return the problem with its unknowns: stand angles with a non-zero u, and the sizes of all effects.
+    """Return the problem with its unknowns: stand angles with a non-zero u, and the parameters of effects.
 
     Shape parameters (`Parameter.is_shape`) are not unknowns: they keep the values of the model. A level reading of
     a mounting replaces the u that the bench file states.
@@ -349,8 +350,8 @@ def make_problem(
     `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
     "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean
     and the u that the model states; they must come from readings other than those to be fitted. Without a stated u
-    the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from other runs: it
-    replaces `stand_u` for angles that no level measured, and the stated noise.
+    the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from other runs. It
+    replaces the stated noise, and `stand_u` for angles that no level measured.
     """
     levels = conditions.levels()
     stand = tuple(

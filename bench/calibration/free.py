@@ -32,9 +32,9 @@ PRODUCTS: Final = ("xx", "yy", "zz", "xy", "xz", "yz", "x", "y", "z")
 
 @dataclass(frozen=True)
 class Modulus:
-    """The equations |a| = 1 g of m free readings in a fit, linearised, in g.
+    """The equations |a| = 1 g of m free readings, linearised about a point of the fit.
 
-    `left` (m,) is 1 - |a|. `jacobian` (m, 12 + q) are the derivatives of |a| by the 12 coefficients and the q
+    `left` (m,) is 1 - |a|, g. `jacobian` (m, 12 + q) are the derivatives of |a| by the 12 coefficients and the q
     other unknowns. `by_signal` (m, 3) is d|a|/dU, g/unit.
     """
 
@@ -43,7 +43,7 @@ class Modulus:
     by_signal: Floats
 
     def noise(self, sizes: Noise) -> Floats:
-        """Return the standard deviation (m,) of each row, g, for the noise `sizes` of the signals."""
+        """Return the standard deviation (m,) of |a|, g, for the noise `sizes` of the signals."""
         return np.asarray(np.linalg.norm(self.by_signal * sizes.by_channel, axis=1))
 
 
@@ -111,7 +111,7 @@ def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats
 
 
 def effects_without_data(model: ForwardModel, force: Floats, conditions: Conditions, block: Block) -> str:
-    """Return a sentence that names the effects of a model that need data which free positions lack; "" for none.
+    """Return a sentence on effects of the model that need data which free positions lack; "" for none.
 
     `force` (m, 3) are rough values of the specific force, g.
     """

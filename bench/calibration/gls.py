@@ -1,9 +1,9 @@
 """Generalised least squares on all readings, with the stand's errors as random effects.
 
 The setting error is common to the three channels of a point. Axis tilt, zero offset and mounting error are common
-to a mounting and have the sizes that the bench file states. The exact forward model is linearised about the current
-estimate until the estimate converges. The result is the maximum a posteriori estimate; for these small angles its
-covariance is that of generalised least squares.
+to a mounting, with the standard uncertainties that the bench file states. The exact forward model is linearised
+about the current estimate until the estimate converges. The result is the maximum a posteriori estimate; for these
+small angles its covariance is that of generalised least squares.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ LEAST_NOISE: Final = 1e-11
 
 @dataclass(frozen=True)
 class Shift:
-    """An additional unknown, without prior, in one observation, which then has no weight in the fit.
+    """An additional unknown without prior in one observation, which thereby loses its weight in the fit.
 
     `row` is the index of a reading, from 0. With `channel` 0, 1 or 2, the unknown is an offset of signal x, y or z
     in an oriented reading, in the unit of the signal. With `SETTING` it is an error of the head's angle in an
@@ -70,16 +70,15 @@ MODULUS: Final = 4
 
 @dataclass(frozen=True)
 class Fit:
-    """Estimates of the 12 coefficients and the q other unknowns of a problem, and their joint covariance (12 + q,
-    12 + q).
+    """Estimates of all unknowns of a problem: the 12 coefficients `block`, then the q `others`.
 
-    `noise` has the estimated sizes; the covariance uses them widened for their degrees of freedom. `gain` (12 +
-    q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain` (12 + q, m, 3), the map
-    from the m readings of unknown orientation (free readings). `misfit` is the chi-square of residuals and
-    priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus` (m,) is |a| - 1
-    of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are the estimates of
-    the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear system of the
-    last step, with the final residuals.
+    `covariance` (12 + q, 12 + q) is their joint covariance; it uses the estimated `noise`, widened for its degrees
+    of freedom. `gain` (12 + q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain`
+    (12 + q, m, 3), the map from the m readings of unknown orientation (free readings). `misfit` is the chi-square
+    of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus`
+    (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are
+    the estimates of the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear
+    system of the last step, with the final residuals.
     """
 
     block: Block
@@ -110,10 +109,9 @@ def fit(
 ) -> Fit:
     """Fit the problem to readings `signal` (n, 3), starting from the block `start`.
 
-    The noise is estimated unless given, and is at least that of rounding to `resolution` (a rectangular
-    distribution of this width). Each of `shifts` is an additional unknown without prior. With `one_size` all
-    channels have equal noise; otherwise each has a separate size if they differ. Raises `CalibrationError` if the
-    fit does not converge.
+    The noise is estimated unless given. It is at least that of rounding to `resolution` (a rectangular distribution
+    of this width). The channels have equal noise with `one_size`, or if their noise does not differ significantly.
+    Each of `shifts` is an additional unknown without prior. Raises `CalibrationError` if the fit does not converge.
     """
     block, others = start, problem.prior_mean
     floor = noise_floor(signal, resolution, problem.free)
@@ -161,11 +159,11 @@ def _not_converged(problem: Problem, system: System, unknown: int, moved: float)
 
 @dataclass(frozen=True)
 class System:
-    """The linear system of one step.
+    """The linear system of one step of the fit.
 
-    Its p unknowns are the active coefficients, the shifts, then the other unknowns of the problem. `left` (n, 3)
-    is measured minus predicted. `jacobian` (n, 3, p) are the derivatives of the readings by the unknowns; `slope`
-    (n, 3) is du/dphi. `free` are the equations of the moduli.
+    Its p unknowns are the active coefficients, then the shifts, then the other unknowns of the problem. `left` (n,
+    3) is measured minus predicted signals. `jacobian` (n, 3, p) are the derivatives of the readings by the
+    unknowns; `slope` (n, 3) is du/dphi. `free` are the equations of the moduli.
     """
 
     left: Floats
@@ -220,10 +218,10 @@ def _places(problem: Problem, shifts: int, others: int) -> _Places:
 
 
 def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
-    """Return a fit after repeating its last step for a `covariance` (3n + m, 3n + m) of 3n signals and m
-    moduli.
+    """Return a fit after repeating its last step with another covariance of the readings.
 
-    `noise` has the noise sizes that belong to this covariance. The linearisation does not change.
+    `covariance` (3n + m, 3n + m) is that of the 3n signals and m moduli; `noise` is the noise in it. The
+    linearisation does not change.
     """
     system, others = fit.system, fit.others
     places = _places(problem, len(fit.shifts), len(others))
@@ -336,10 +334,10 @@ def estimate_noise(problem: Problem, system: System, groups: Ints, others: Float
 
 @dataclass(frozen=True)
 class Solution:
-    """One step of the fit: the change (p,) of the p unknowns, their covariance (p, p), and its QR factors.
+    """One step of the fit: the change (p,) of the p unknowns, and their covariance (p, p).
 
-    The change is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has a row for each
-    of 3n signals, m moduli and the priors, and p columns.
+    `step` is `inverse` (p, p) times the transpose of `q` times the whitened residuals. `q` has p columns, and a row
+    for each of 3n signals, m moduli and the priors.
     """
 
     step: Floats
@@ -358,7 +356,7 @@ class Solution:
 
 
 def solve(problem: Problem, system: System, noise: Noise, others: Floats) -> Solution:
-    """Return one step of the fit from the values `others` (q,) of unknowns after the coefficients."""
+    """Return one step of the fit; `others` (q,) are the present values of the unknowns after the coefficients."""
     return solve_rows(*whitened_rows(problem, system, noise, others))
 
 
@@ -375,10 +373,10 @@ def solve_rows(rows: Floats, target: Floats, scale: Floats) -> Solution:
 def whitened_rows(
     problem: Problem, system: System, noise: Noise, others: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the whitened equations of one iteration: rows (3n + m + q, p), targets, and scale (p,).
+    """Return the whitened equations of one iteration: rows (3n + m + q, p), their targets, and scale (p,).
 
-    n readings give 3n rows; m moduli and q priors follow. Each row has unit variance. Column j belongs to unknown j
-    divided by its scale. `others` are the present values of the unknowns after the coefficients.
+    The rows are 3n for n readings, then m for moduli and q for priors; each has unit variance. Column j belongs to
+    unknown j divided by its scale. `others` are the present values of the unknowns after the coefficients.
     """
     n, _, p = system.jacobian.shape
     free = system.free
@@ -400,9 +398,10 @@ def whitened_rows(
 
 
 def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None = None) -> LackOfFit:
-    """Test the residuals of a fit against the scatter of repeats (F test), or against given noise (chi-square).
+    """Test the residuals of a fit against the scatter of repeats by an F test.
 
-    A `rounding` error that repeats share counts as noise.
+    If the noise was given, the test is a chi-square test against this noise. A `rounding` error that repeats share
+    counts as noise.
     """
     # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
     unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
@@ -417,7 +416,7 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit with `unknowns` unknowns that have no prior.
+    """Test the chi-square `misfit` of a fit; `unknowns` is the number of its unknowns without a prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """
@@ -439,9 +438,9 @@ def misfit_test(
 
 @dataclass(frozen=True)
 class WeightingTask:
-    """The input of an estimator's weighting: `signal` (n, 3) and its `fit` by generalised least squares.
+    """The input of `Estimator.weigh`: readings `signal` (n, 3) and their fit by generalised least squares.
 
-    `refit` repeats this fit with shifts for the signals that are to have no weight.
+    `refit` repeats the `fit` with shifts for the signals that are to have no weight.
     """
 
     problem: Problem
@@ -458,11 +457,11 @@ def _as_it_is(task: WeightingTask) -> Fit:
 class Estimator:
     """An estimator of the coefficients; `phrase` describes it in a few words, `also` are aliases.
 
-    An estimator with fixed weights has `gain`, which returns its linear map (12, n, 3), and uses oriented
-    readings alone. Any other estimator has `weigh`, which returns its fit. A budget uses the map of its fit
-    to readings without errors or outliers. If another estimator has the same map, `counts_as` names that
-    estimator. `angles_rad` returns the angles (n,) that the estimator assumes, and raises `CalibrationError`
-    for unsuitable readings; if it is None, the estimator uses the angles of the readings.
+    An estimator with fixed weights uses oriented readings alone; its `gain` returns its linear map (12, n, 3). Any
+    other estimator has `weigh`, which returns its fit; a budget uses the map of its fit to readings without errors
+    or outliers. `counts_as` names another estimator with the same map, if there is one. `angles_rad` returns the
+    angles (n,) that the estimator assumes, and raises `CalibrationError` for unsuitable readings; if it is None,
+    the estimator uses the angles of the readings.
     """
 
     name: str

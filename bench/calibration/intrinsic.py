@@ -75,10 +75,10 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
 class Intrinsic(Derived):
     """The nine intrinsic numbers of a calibration.
 
-    `covariance_readings` (9, 9) is the part from readings and stated stand errors; `dof` (9,) are degrees of
-    freedom.
+    `covariance_readings` (9, 9) is the part of the covariance due to readings and stated stand errors; `dof` (9,)
+    are the effective degrees of freedom.
 
-    `held` names the numbers that depend on limits in the bench file rather than on these readings. `mounting` is a
+    `held` names the numbers that these readings do not determine: limits in the bench file do. `mounting` is a
     sentence on which numbers the mounting can change.
     """
 

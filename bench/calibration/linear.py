@@ -27,12 +27,13 @@ def least_squares_gain(problem: Problem) -> Floats:
 def linear_estimate(
     problem: Problem, signal: Floats, fit: gls.Fit, gain: Floats, shared: Floats | None = None
 ) -> gls.Fit:
-    """Return the coefficients by the linear map `gain` (12, n, 3), with covariance from noise, stand and effects.
+    """Return the coefficients by the linear map `gain` (12, n, 3), with their covariance.
 
-    `fit` is the generalised least squares fit to the same readings `signal` (n, 3). Its coefficients convert stated
-    effects and stand angles measured by a level to signals, which are subtracted. `fit` also provides the noise and
-    the misfit: with fixed weights, stand angles would remain in the residuals and look like a lack of fit. `shared`
-    (3n, 3n) is the covariance of the readings if they share errors.
+    The covariance is due to noise, stand and effects. `fit` is the generalised least squares fit to the same
+    readings `signal` (n, 3). With its coefficients, stated effects and stand angles measured by a level are
+    converted to signals, and subtracted. `fit` also provides the noise and the misfit: with fixed weights, stand
+    angles would remain in the residuals and look like a lack of fit. `shared` (3n, 3n) is the covariance of the
+    readings if they share errors.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

@@ -49,7 +49,10 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `CalibrationError` for a signal that is overloaded or no number; `angles` checks the angles, too."""
+    """Raise `CalibrationError` for an overloaded signal or one that is no number.
+
+    With `angles`, an angle that is no number raises it, too.
+    """
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if np.any(bad):
         raise CalibrationError(f"{_place(rows, bad)} has a signal that is not a number; remove this reading")
@@ -121,7 +124,7 @@ def refuse_still(signal: Floats) -> None:
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
-    """Raise `CalibrationError` for a channel that stays at the end of its range, where a fit predicts more.
+    """Raise `CalibrationError` for a saturated channel: equal readings where a fit predicts larger signals.
 
     The fit is to the readings within the range. `columns` (n, 4) are the specific force and ones.
     """
@@ -173,7 +176,7 @@ def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
 
 
 def refuse_singular(block: Block, u: Floats | None = None) -> None:
-    """Raise `CalibrationError` if the channels do not span three axes: one does not respond, or two are parallel.
+    """Raise `SpoiledFit` if a channel does not respond, or the sensitive axes do not span three dimensions.
 
     `u` (12,) are the standard uncertainties of the coefficients, if known.
     """
@@ -204,7 +207,10 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Within this context, a `SpoiledFit` names the rows that deviate strongly, if any, instead of its remedy."""
+    """Context in which a `SpoiledFit` becomes a `CalibrationError` that names the deviating rows.
+
+    Their names replace its remedy. If no row deviates strongly, the `SpoiledFit` is raised unchanged.
+    """
     try:
         yield
     except SpoiledFit as error:
@@ -335,11 +341,12 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
 
 @dataclass(frozen=True)
 class WrongUnit:
-    """Signals in another unit than stated: each is too large by a factor of 1000^`power`, with `power` (n, 3).
+    """Signals that are in another unit than stated.
 
-    `part` names the affected part of the table in words, empty for all rows; `channels` are the affected
-    channels. `unit` is the stated unit, `size` the value of `power` for the affected signals. `pass_number` or
-    `installation` is set if the affected part is a pass or an installation.
+    `power` (n, 3) is zero for correct signals; any other signal is too large by a factor of 1000^`power`. `part`
+    names the affected part of the table in words, empty for all rows; `channels` are the affected channels. `unit`
+    is the stated unit, `size` the value of `power` for the affected signals. If the affected part is a pass or an
+    installation, `pass_number` or `installation` is set.
     """
 
     power: Ints
@@ -372,7 +379,7 @@ class WrongUnit:
 
 
 def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float] | None) -> WrongUnit | None:
-    """Return which signals are in another unit; None if none are, or if it is not clear which.
+    """Return which signals are in another unit than stated; None if none are, or if this is not clear.
 
     `nominal` (3,) are the data sheet's scale factors, in the unit of the signal per g; without them the signals are
     compared with each other.
@@ -511,5 +518,8 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g (3,): `scale_factors` for V, constants for g and m/s^2, else None."""
+    """Return the nominal signal per g (3,), or None if it is not known for this unit.
+
+    It is `scale_factors` for V, and a constant for g and m/s^2.
+    """
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -1,8 +1,8 @@
 """The noise of the readings, estimated from repeats rather than assumed.
 
 A reading is the model plus a setting error, which acts on its three channels along d = du/dphi, plus independent
-noise in each channel with a size of its own. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) +
-sigma_phi^2 d d^T. The sizes maximise the restricted likelihood.
+noise of each channel. The covariance of a reading is diag(sigma_x^2, sigma_y^2, sigma_z^2) + sigma_phi^2 d d^T. The
+estimates of the four standard deviations maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ LEAST_SIGNALS: Final = 1.5 * LEAST_DOF
 
 @dataclass(frozen=True)
 class KnownNoise:
-    """The noise as known before a fit, with degrees of freedom for each size.
+    """Prior knowledge of the noise: standard deviations, each with degrees of freedom.
 
-    `channels` (3,) are the standard deviations in x, y and z, in the unit of the signal; `setting_rad` is that of
-    the head's setting, rad. Each variance has a scaled inverse chi-square distribution: it counts like repeats
-    with as many degrees of freedom. The degrees of freedom of sizes from other runs allow for variation of the
-    noise between runs. Sizes that the bench file states (`stated`) count only if the readings have too few degrees
-    of freedom.
+    `channels` (3,) are the standard deviations of the reading noise in x, y and z, in the unit of the signal;
+    `setting_rad` is that of the head's setting error, rad. Each variance has a scaled inverse chi-square
+    distribution: it counts like repeats with as many degrees of freedom. If the prior comes from other runs, its
+    degrees of freedom allow for variation of the noise between runs. If the bench file states it (`stated`), it
+    counts only where the readings have too few degrees of freedom.
     """
 
     channels: Floats
@@ -47,17 +47,17 @@ class KnownNoise:
 
     @classmethod
     def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
-        """Return the noise from a bench file's sizes by name; None if it states no voltmeter noise."""
+        """Return the noise that a bench file states, by name in `sizes`; None without "voltmeter_error"."""
         reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
         if not reading > 0.0:
             return None
         return cls(np.full(3, reading), np.full(3, LEAST_DOF), setting, LEAST_DOF, stated=True)
 
     def beside(self, signals: float) -> KnownNoise | None:
-        """Return the prior to combine with the residuals of `signals` signals; None if these suffice alone.
+        """Return the prior to combine with the residuals of `signals` signals; None if the residuals suffice.
 
-        A stated prior keeps only the degrees of freedom that the signals lack; a prior of other runs counts in
-        full.
+        A prior from the bench file has only the degrees of freedom that the residuals lack. A prior from other runs
+        is returned unchanged.
         """
         if not self.stated:
             return self
@@ -72,16 +72,20 @@ class KnownNoise:
         return float(np.mean(self.channel_dof))
 
     def given(self) -> Noise:
-        """Return these sizes as the noise of future readings, exactly known (infinite degrees of freedom)."""
+        """Return these standard deviations as the noise of future readings, exactly known (infinite dof)."""
         x, y, z = self.channels.tolist()
         return Noise(rms(self.channels), self.setting_rad, np.inf, "given", channels=(x, y, z))
 
     def times(self, part: float) -> KnownNoise:
-        """Return the prior with its sizes multiplied by `part`."""
+        """Return the prior with its standard deviations multiplied by `part`."""
         return replace(self, channels=part * self.channels, setting_rad=part * self.setting_rad)
 
     def joined(self, own: Noise) -> Noise:
-        """Return the noise `own` of a run combined with this prior, or `own` alone if the two contradict."""
+        """Return the noise `own` of a run combined with this prior, or `own` alone.
+
+        `own` stays alone if it contradicts the prior, if it was given, or if it has enough degrees of freedom to do
+        without a prior from the bench file.
+        """
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own
         dof = np.asarray(own.channel_dof) if own.channel_dof is not None else np.full(3, own.reading_dof)
@@ -98,7 +102,10 @@ class KnownNoise:
         )  # fmt: skip
 
     def contradicts(self, sizes: Floats, dof: Floats) -> bool:
-        """Return whether a run's noise `sizes` (3,), of `dof` (3,), contradict the known noise (F tests)."""
+        """Return whether a run's noise contradicts the known noise of the channels, by F tests.
+
+        `sizes` (3,) are the run's standard deviations in x, y and z, `dof` (3,) their degrees of freedom.
+        """
         ratio = np.square(sizes / self.channels)
         above = special.fdtrc(dof, self.channel_dof, ratio)
         chance = 2.0 * np.minimum(above, 1.0 - above)
@@ -119,7 +126,7 @@ class KnownNoise:
 
 @dataclass(frozen=True)
 class KnownStand:
-    """Prior knowledge of the stand's angles from other runs, by kind and, where means differ, by installation.
+    """Prior knowledge of the stand's angles from other runs, for the whole stand or by installation.
 
     `keys` (k,) are pairs of a name in `STAND_ANGLES` and an installation ("" for all). `mean` (k,), rad, are mean
     angles and `covariance` (k, k), rad^2, is their covariance. `remount` maps a name to the standard deviation of
@@ -140,9 +147,10 @@ class KnownStand:
         return None
 
     def prior(self, unknowns: Sequence[tuple[str, str]], stated_u: Floats) -> tuple[Floats, Floats]:
-        """Return prior means (q,) and covariance (q, q) of angles, each given as (name, installation).
+        """Return prior means (q,), rad, and covariance (q, q), rad^2, of the angles `unknowns`.
 
-        An angle without a known mean has mean zero and the standard uncertainty `stated_u`.
+        Each angle is given as (name, installation). An angle without a known mean has mean zero and the standard
+        uncertainty in `stated_u` (q,).
         """
         places = [self.place(name, installation) for name, installation in unknowns]
         known = np.array([place is not None for place in places], dtype=bool)
@@ -167,10 +175,11 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the fraction of the meters' limits by which their errors may differ between two uses: 0 to 1.
+    """Return the part, 0 to 1, of their limits by which the meters may have drifted between two uses.
 
-    Each use is stated by the identities of the meters and the time. At 0 the errors cancel. Different or unnamed
-    meters, and unknown times, give 1.
+    A use is given by the identities of its meters and by its time. Within `ONE_SITTING` the result is 0: the
+    meters' errors cancel. Later it is the time between the uses divided by `METERS_DRIFT`, at most 1. It is always
+    1 for different or unnamed meters, and for an unknown time.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -204,7 +213,7 @@ class RepeatScatter:
 
     @property
     def settings(self) -> int:
-        """Degrees of freedom of all repeats, in settings of the head (three signals each)."""
+        """Degrees of freedom of all repeats, counted in settings of the head (three signals each)."""
         return int(self.freedom.sum())
 
     def chi_square(self, variances: Floats) -> float:
@@ -222,7 +231,10 @@ class RepeatScatter:
 
 @dataclass(frozen=True)
 class SharedRounding:
-    """The rounding error that readings of equal signals share: `groups` (n,), `variance` (3,) in x, y and z."""
+    """The rounding error that readings of equal signals share.
+
+    `groups` (n,) numbers the readings with equal signals; `variance` (3,) is that of the error in x, y and z.
+    """
 
     groups: Ints
     variance: Floats
@@ -241,11 +253,12 @@ class SharedRounding:
 
 
 def rounding_variance(noise: Floats, floor: float) -> Floats:
-    """Return the variance of the rounding error that repeats share, for noise sizes (k,) that include rounding.
+    """Return the variance (k,) of the rounding error that repeats share, for k standard deviations of noise.
 
-    `floor` is the standard deviation of rounding: the last digit divided by root 12. The mean of many repeats keeps
-    the harmonics of the rounding error that the noise does not smooth away (B. Widrow and I. Kollar, Quantization
-    Noise, 2008, chapter 4). The result falls from floor^2 without noise to zero for noise above half a digit.
+    `noise` (k,) includes rounding. `floor` is the standard deviation of rounding: the last digit divided by root
+    12. The mean of many repeats keeps the harmonics of the rounding error that the noise does not smooth away (B.
+    Widrow and I. Kollar, Quantization Noise, 2008, chapter 4). The result falls from floor^2 without noise to zero
+    for noise above half a digit.
     """
     step2 = 12.0 * floor**2
     own = np.maximum(np.square(noise) - floor**2, 0.0)
@@ -282,9 +295,10 @@ def _group_sum(values: Floats, groups: Ints) -> Floats:
 
 
 def noise_from_repeats(scatter: RepeatScatter, floor: float, *, one_size: bool = False) -> Noise:
-    """Return the noise from repeats by restricted maximum likelihood, by channel if the channels differ.
+    """Return the noise from repeats by restricted maximum likelihood.
 
-    `floor` (unit of the signal) is the lower limit of the noise, given by the last digit of a reading.
+    The channels get separate standard deviations if they differ significantly, unless `one_size`. `floor` (unit of
+    the signal) is the lower limit of the noise, which follows from the last digit of a reading.
     """
     found = believed_sizes(
         scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, one_size=one_size
@@ -338,10 +352,10 @@ LEAST_SETTING: Final = 1e-3
 
 
 def setting_limits(reading: float, setting_rad: float, slope2: float, freedom: float) -> tuple[float, float]:
-    """Return the limits of the setting error (about 95 %), rad.
+    """Return the limits, rad, that contain the standard deviation of the setting error with about 95 %.
 
-    The variance along d = du/dphi, sigma_u^2 + sigma_phi^2 |d|^2, has the relative standard uncertainty
-    sqrt(2/freedom). `slope2` is the mean of |d|^2.
+    `reading` is the reading noise, `slope2` the mean of |d|^2 with d = du/dphi. The variance along d, reading^2 +
+    setting_rad^2 |d|^2, has the relative standard uncertainty sqrt(2/`freedom`).
     """
     if slope2 <= 0.0:
         return 0.0, float("inf")
@@ -386,7 +400,7 @@ class LikelihoodResiduals:
         return max(rms(self._along[1]), 1e-300) if len(self.slope) else 1.0
 
     def spread(self, unknowns: int) -> float:
-        """Return the residual standard deviation of least squares with the first `unknowns` columns."""
+        """Return the residual standard deviation of a least-squares fit with the first `unknowns` columns."""
         rows = np.vstack([self.columns.reshape(-1, self.unknowns + 1), self.free])
         _, left = least_squares(rows[:, :unknowns], rows[:, -1])
         return float(np.sqrt(left @ left / max(self.count - unknowns, 1)))
@@ -403,7 +417,10 @@ class LikelihoodResiduals:
         return np.einsum("nip,ni->np", self.columns, unit), length
 
     def likelihood(self, log_sizes: Floats) -> tuple[float, Floats, float]:
-        """Return -2 ln L, its derivatives by `log_sizes`, and y^T P y."""
+        """Return -2 ln L, its derivatives by `log_sizes` (2,), and the weighted sum of squares y^T P y.
+
+        `log_sizes` are the logarithms of the standard deviations of reading noise and setting error.
+        """
         along, length = self._along
         p = self.unknowns
         reading, setting = np.exp(2 * log_sizes)
@@ -430,11 +447,11 @@ class LikelihoodResiduals:
 
 
 def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
-    """Return reading noise and setting error by restricted maximum likelihood from the residuals of the model.
+    """Return reading noise and setting error by restricted maximum likelihood from residuals.
 
-    This serves data without enough repeats. A `known` prior from the bench file counts with the degrees of freedom
-    that the residuals lack; if they lack none, they are tested against the prior. A prior from other runs counts
-    in full, unless the residuals contradict it.
+    This serves readings without enough repeats. A `known` prior from the bench file adds the degrees of freedom
+    that the residuals lack; if the residuals suffice, they are only tested against it. A prior from other runs
+    counts in full, but is left out if enough residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     beside = None if known is None else known.beside(signals)
@@ -447,7 +464,10 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
 
 
 def require_told(noise: Noise) -> None:
-    """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior: u would be arbitrary."""
+    """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior.
+
+    The uncertainties would then be arbitrary.
+    """
     if noise.source == OF_RESIDUALS and noise.prior is None and noise.reading_dof < LEAST_DOF:
         raise CalibrationError(
             "so few readings do not show their noise; measure more points or passes, or state "

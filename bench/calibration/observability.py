@@ -35,12 +35,12 @@ class DirectionKind(StrEnum):
 
 @dataclass(frozen=True)
 class Direction:
-    """A null direction: a change of unknowns that no reading shows.
+    """A null direction: a change of unknowns that changes no reading.
 
-    `members` maps names to changes, in SI and the unit of the signals: angles and effects before coefficients, the
-    largest first. The changes belong to a turn by one radian or, in other directions, to one unit of the first
-    member. `axis` is the axis of a turn, on block axes, up to its sign. `only` is the combination of two angles
-    that the readings do show ("sum" or "difference"), else empty.
+    `members` maps names to changes, in SI units and the unit of the signals: angles and effects before
+    coefficients, the largest first. For a turn they are changes per radian of the turn; for another direction, per
+    unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` says which
+    combination of two angles the readings do show ("sum" or "difference"), else it is empty.
     """
 
     kind: DirectionKind
@@ -50,12 +50,12 @@ class Direction:
 
     @property
     def others(self) -> list[str]:
-        """The stand angles, settings and effects in the direction, except those with small parts."""
+        """Names of the stand angles, settings and effects in the direction, except those with small changes."""
         return self._telling([name for name in self.members if name not in COEFFICIENTS])
 
     @property
     def coefficients(self) -> list[str]:
-        """Return the direction's coefficients, except those with small parts."""
+        """Names of the coefficients in the direction, except those with small changes."""
         return self._telling([name for name in self.members if name in COEFFICIENTS])
 
     def _telling(self, names: list[str]) -> list[str]:
@@ -248,10 +248,10 @@ _NO_COLUMN: Final = 1e-8
 
 @dataclass(frozen=True)
 class Observability:
-    """The rank of the derivatives by the unknowns `names`, and the null directions.
+    """The rank of the readings' derivatives by the unknowns `names`, and the null directions.
 
-    The null directions are as many as the unknowns minus the rank. `null` (p, d) is an orthonormal basis of
-    the null space, in unknowns scaled so that their columns have unit length.
+    There are as many null directions as the number of unknowns minus the rank. `null` (p, d) is an orthonormal
+    basis of the null space, in unknowns scaled so that their columns have unit length.
     """
 
     names: tuple[str, ...]
@@ -385,7 +385,7 @@ def require_rank(force: Floats) -> None:
 
 
 def assumptions(problem: Problem, block: Block, gain: Floats, unit: str) -> tuple[str, ...]:
-    """Return sentences on the assumptions of the fit, each with the change of coefficients if it does not hold.
+    """Return sentences on the assumptions of the fit, each with the change of coefficients if it is wrong.
 
     `gain` (12, n, 3) is the estimator's map from readings to coefficients.
     """
@@ -408,9 +408,9 @@ _ASSUMED: Final = ("mounting_roll",)
 
 
 def unseen_coefficients(problem: Problem, block: Block) -> Floats:
-    """Return d changes (12, d) of the coefficients that readings cannot distinguish from angles of the stand.
+    """Return d changes (12, d) of the coefficients that readings cannot distinguish from stand angles.
 
-    The third mounting angle counts as unknown, too. Each change is scaled: its largest element equals that of K.
+    The third mounting angle counts as unknown, too. In each change the largest element equals the largest of K.
     """
     if problem.upper:
         return np.zeros((FIXED, 0))

@@ -25,7 +25,7 @@ MOST_NAMED: Final = 2
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Verification points whose readings contradict the stated orientation (`points`, a mask), and a sentence."""
+    """Verification points that contradict the stated orientation (mask `points`), and a sentence on them."""
 
     points: Mask
     sentence: str
@@ -33,7 +33,7 @@ class Contradiction:
 
 @dataclass(frozen=True)
 class StatedOrientation:
-    """The orientations that a bench file states: its `model`, and the u of a measured direction, rad."""
+    """The orientations that a bench file states, and u (rad) of a direction that the block measures."""
 
     model: ForwardModel
     u_rad: float
@@ -42,11 +42,11 @@ class StatedOrientation:
     def of(
         cls, model: ForwardModel, stand_u: Mapping[str, float], block: Block, covariance: Floats
     ) -> StatedOrientation | None:
-        """Return what `model` states for installation V; None if it states nothing that readings could contradict.
+        """Return what `model` states for installation V; None if no reading could contradict it.
 
         `stand_u` are the standard uncertainties (rad) of the stand by name, `covariance` (12, 12) is the covariance
-        of the coefficients. Coefficients of free positions alone leave the block's axes open: some are zero by
-        convention, with u = 0.
+        of the coefficients. Coefficients of free positions alone contradict no orientation: they leave the block's
+        axes open, and some are zero by convention, with u = 0.
         """
         u_K = u_of(covariance)[:9].reshape(3, 3)
         if VERIFICATION not in model.installations or (u_K.any() and not u_K.all()):

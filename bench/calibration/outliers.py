@@ -40,7 +40,7 @@ LEAST_PART: Final = 1e-6
 
 @dataclass(frozen=True)
 class FittedRows:
-    """The oriented and free rows of a fit, with their row numbers in the table (from 0)."""
+    """The oriented and the free readings of a fit, with the index of each in the table (from 0)."""
 
     oriented: Readings
     free: Readings
@@ -74,7 +74,7 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
 
 
 def looks(problem: Problem) -> int:
-    """Return the number of candidates that are tested for an outlier.
+    """Return the number of candidates for an outlier.
 
     They are the signals and the setting of each oriented reading, and each modulus.
     """
@@ -82,7 +82,7 @@ def looks(problem: Problem) -> int:
 
 
 def critical(candidates: int, dof: float) -> float:
-    """Return the limit that the largest studentised residual exceeds by chance with probability `LEVEL`."""
+    """Return the critical value of the largest studentised residual, for the significance level `LEVEL`."""
     p = 1.0 - LEVEL / (2 * candidates)
     return float(special.ndtri(p) if np.isinf(dof) else special.stdtrit(dof, p))
 

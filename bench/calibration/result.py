@@ -18,7 +18,7 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 
 class SpoiledFit(CalibrationError):
-    """A fit that a few wrong readings may have spoiled: what is wrong with it, and what to check."""
+    """The error of a fit that a few wrong readings may have spoiled: the problem, and what to check."""
 
     def __str__(self) -> str:
         """Return the sentence."""
@@ -27,12 +27,13 @@ class SpoiledFit(CalibrationError):
 
 @dataclass(frozen=True)
 class SourceOfError:
-    """An error source that the readings do not show, with its `covariance` (12, 12) of the coefficients.
+    """An error source that the readings do not show.
 
-    `size` is its size in words; `origin`, where this size comes from; `prior` marks a size not stated for this
-    bench. `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is
-    set for an error of the block itself; column k is the change of the coefficients by one u of the error's k-th
-    independent component.
+    `covariance` (12, 12) is its part of the covariance of the coefficients. `size` is its standard uncertainty in
+    words; `origin` says where this comes from; `prior` marks an uncertainty that nobody stated for this bench.
+    `cancels` marks an error that cancels if the same meters read the block later. `of_block` (12, q) is set for an
+    error of the block itself; column k is the change of the coefficients if the error's k-th independent component
+    equals its standard uncertainty.
     """
 
     name: str
@@ -67,7 +68,7 @@ HARDLY_BETTER = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted value with its standard uncertainty, both in `unit`; `prior_u` is the u before the fit."""
+    """A fitted value with its standard uncertainty `u`, both in `unit`; `prior_u` is that before the fit."""
 
     value: float
     u: float
@@ -76,18 +77,18 @@ class Estimate:
 
     @property
     def told_by_data(self) -> bool:
-        """Whether the data reduced the prior uncertainty noticeably."""
+        """Whether the data reduced the uncertainty noticeably below that of the prior."""
         return self.u < HARDLY_BETTER * self.prior_u
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Prior sizes of the noise, which are combined with the estimates from the readings.
+    """The prior of the noise, and a test of the residuals against it.
 
-    Each variance has a scaled inverse chi-square distribution about its size: `reading` (unit of the signal) and
-    `setting_rad`, 1 sigma, with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
+    The standard deviations are `reading` (unit of the signal) and `setting_rad`; each variance has a scaled inverse
+    chi-square distribution with `dof` degrees of freedom. The residuals have `readings_dof` degrees of freedom.
     `ratio` is the scatter of the residuals divided by the prior noise, `p` the two-sided p-value of this ratio
-    (both NaN without degrees of freedom). `stated` is true for sizes from the bench file, false for sizes from
+    (both NaN without degrees of freedom). `stated` is true for a prior from the bench file, false for one from
     other runs.
     """
 
@@ -101,22 +102,22 @@ class NoisePrior:
 
     @property
     def source(self) -> str:
-        """Source, in words, of noise sizes estimated with this prior."""
+        """Return in words where noise estimated with this prior comes from."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
 
 
 @dataclass(frozen=True)
 class Noise:
-    """Sizes of the noise that is independent from reading to reading, 1 sigma.
+    """Standard deviations of the noise that is independent from reading to reading.
 
     `reading` (unit of the signal) acts on each channel of each reading. `setting_rad` acts on each setting of the
     head, common to its three channels; `setting_limits_rad` contain it with about 95 %. `dof` are the degrees of
-    freedom of the estimate, counted in single signals; they are infinite if the sizes are given. `source` says
-    where the sizes come from. If the channels differ, `channels` are the sizes of the noise in x, y and z,
-    `channel_dof` are their degrees of freedom, and `reading` is the root mean square. `p_equal` is the p-value of
-    the hypothesis that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None.
-    `stated` is the test of residuals that need no prior against the sizes that the bench file states, or None.
+    freedom of the estimate, counted in single signals; infinite if the noise was given. `source` says where the
+    noise comes from. If the channels differ, `channels` are the standard deviations in x, y and z, `channel_dof`
+    their degrees of freedom, and `reading` is their root mean square. `p_equal` is the p-value of the hypothesis
+    that the channels have equal noise (NaN if not tested). `prior` is the prior used, or None. If the residuals
+    needed no prior, `stated` is their test against the noise that the bench file states, or None.
     """
 
     reading: float
@@ -132,7 +133,7 @@ class Noise:
 
     @property
     def by_channel(self) -> Floats:
-        """Sizes of the noise in x, y and z, shape (3,); each equals `reading` if the channels do not differ."""
+        """Standard deviations of the noise in x, y and z, shape (3,), equal if the channels do not differ."""
         return np.full(3, self.reading) if self.channels is None else np.array(self.channels)
 
     @property
@@ -148,10 +149,10 @@ class Noise:
         return 2 * self.dof / 3 if self.setting_rad > 0 else self.dof
 
     def widened(self) -> Noise:
-        """Return the sizes as they enter an uncertainty: larger if they are estimates.
+        """Return the noise as it enters an uncertainty: widened for the degrees of freedom of the estimate.
 
-        An estimate s with nu degrees of freedom leads to a scaled t distribution, whose standard deviation is s
-        sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
+        A standard deviation s, estimated with nu degrees of freedom, leads to a scaled t distribution, whose
+        standard deviation is s sqrt(nu/(nu - 2)) (JCGM 101:2008, 6.4.9.4).
         """
         if np.isinf(self.dof):
             return self
@@ -164,19 +165,22 @@ class Noise:
 
 
 def widening(dof: float) -> float:
-    """Return sqrt(nu/(nu - 2)), the factor that widens a size with nu = `dof` (at least `LEAST_DOF`)."""
+    """Return the factor sqrt(nu/(nu - 2)) that widens an estimated standard deviation.
+
+    nu is `dof`, or `LEAST_DOF` if that is larger. Infinite degrees of freedom give 1.
+    """
     nu = max(dof, LEAST_DOF)
     return 1.0 if np.isinf(nu) else float(np.sqrt(nu / (nu - 2)))
 
 
 @dataclass(frozen=True)
 class LackOfFit:
-    """Residuals of the fit: their root mean square, and the misfit beyond the scatter of repeats.
+    """Test of a fit: the root mean square of its residuals, and the misfit beyond the scatter of repeats.
 
-    `chi2` with `dof` is this misfit in units of the scatter, `p` its p-value (F test); NaN without enough repeats.
-    If the noise was given, the whole misfit is tested against it. The closed form has `chi2` and `p` of the
-    least-squares fit to the same readings: they judge the model, not the estimator. `rounding` is the residual that
-    rounding leaves in readings without noise, which no model can explain.
+    `chi2` with `dof` degrees of freedom is this misfit in units of the scatter, `p` its p-value (F test); NaN
+    without enough repeats. If the noise was given, the whole misfit is tested against it. For the closed form,
+    `chi2` and `p` are those of the least-squares fit to the same readings: they judge the model, not the estimator.
+    `rounding` is the rms residual that rounding leaves in noise-free readings; such a small `rms` is accepted.
     """
 
     rms: float
@@ -215,8 +219,8 @@ class Outlier:
     """A signal that contradicts the model and the other readings; it keeps its place in the record.
 
     `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the error in `unit`, `sigma` this error divided by its u, and `weight`
-    the weight that the signal keeps in the fit.
+    "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` the same divided by its u, and
+    `weight` the weight that the signal keeps in the fit.
     """
 
     row: int
@@ -258,11 +262,12 @@ class Triangular:
 
 @dataclass(frozen=True)
 class Component:
-    """A variance component that readings share; `size` is its standard deviation in `unit` (rad; 1 for a gain).
+    """A variance component: an error that several readings share.
 
-    `what` is the kind ("setting", "visit", "pass", …); `channels` are the channels concerned; `dof`, the degrees
-    of freedom of `size`. `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is
-    computed from the last digit.
+    `size` is its standard deviation in `unit`: that of the signal, rad for an angle, or 1 for a gain. `what` is the
+    kind ("setting", "visit", "pass", …), `channels` the channels concerned, `dof` the degrees of freedom of `size`.
+    `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is computed from the last
+    digit.
     """
 
     what: str
@@ -275,10 +280,10 @@ class Component:
 
 @dataclass(frozen=True)
 class BiasWander:
-    """Wander of the biases about their mean over a run of `hours`; `size` (3,) is its rms, in the signal's unit.
+    """Estimated drift of the biases about their means over a run of `hours`.
 
-    `course` (n, 3) has the estimated deviation of the biases at each reading; `per_hour` (3,) is the slope of a
-    straight line through it.
+    `size` (3,) is its rms, in the unit of the signal. `course` (n, 3) has the estimated deviation of the biases at
+    each reading; `per_hour` (3,) is the slope of a straight line through it.
     """
 
     size: Floats
@@ -293,23 +298,23 @@ class Calibration(HasCovariance):
 
     `covariance` (12, 12), in the order of `COEFFICIENTS`, is the combined covariance; it includes the errors
     `sources` that no reading shows. `covariance_readings` is the part due to the readings and the stated stand
-    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, relative, is in neither covariance: K
-    is per local g. `dof` (12,) are effective degrees of freedom.
+    errors. K is in unit/g with g = `g_m_s2`, biases are in unit. `gravity_u`, the relative u of gravity, is in
+    neither covariance: K is per local g. `dof` (12,) are effective degrees of freedom.
 
     `stand` holds the estimated stand angles ("alpha1[1]"), `effects` the fitted parameters of effects. `fitted` are
-    the readings used, `residuals` (n, 3) measured minus fitted, with stand angles and effects at their estimates.
-    `free` are the readings that joined by their modulus, `modulus_error` (m,) their |a| - 1, g. `outliers` have no
-    weight in the estimate.
+    the oriented readings used. `residuals` (n, 3) are measured minus fitted signals, with stand angles and effects
+    at their estimates. `free` are the readings used by their modulus only, `modulus_error` (m,) their |a| - 1, g.
+    `outliers` have no weight in the estimate.
 
-    `gain` (12, N, 3) is the linear map from the signals of the whole table to the coefficients, `slope` (N, 3)
-    du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share, `drift`
-    the wander of the biases if a wander was found, `wander` (3,) its possible rms. `birge` is the factor that
-    widened u for a lack of fit, `p_tails` the p-value of heavy tails.
+    `gain` (12, N, 3) is the linear map from the N rows of the whole table to the coefficients. `slope` (N, 3) is
+    du/dphi, zero for rows that are not oriented. `shared` are the variance components that readings share. `drift`
+    is a significant drift of the biases, or None; `wander` (3,) is as in `SharedErrorFit`. `birge` is the factor
+    that widened u for a lack of fit, `p_tails` the p-value of heavy tails.
 
     `triangular` is set for free positions alone; `signs` says whether the signs of their scale factors come from
-    the "bench file" or are all "positive". `assume` returns the sentences of `assumed`; `unseen` returns changes
-    (12, d) of the coefficients, of relative size 1, that only limits of the stand confine; `notes` are sentences
-    for the user.
+    the "bench file" or are all "positive". `assume` returns the sentences of `assumed`. `unseen` returns changes
+    (12, d) of the coefficients, of relative size 1, that the readings do not show: only limits of the stand confine
+    them. `notes` are sentences for the user.
     """
 
     estimator: str
@@ -367,18 +372,18 @@ class Calibration(HasCovariance):
 
     @property
     def covariance_same_meters(self) -> Floats:
-        """Combined covariance (12, 12) without errors that cancel in later readings with the same meters."""
+        """Combined covariance (12, 12) without the errors that cancel in later readings with the same meters."""
         return self.covariance - sum((s.covariance for s in self.sources if s.cancels), np.zeros((12, 12)))
 
     @property
     def block_terms(self) -> Floats:
-        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each of the size of its u."""
+        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each equal to its u."""
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 
     @cached_property
     def assumed(self) -> tuple[str, ...]:
-        """Sentences on assumptions that these data cannot test, with the cost of an error in each."""
+        """Sentences on assumptions that these data cannot test, each with the effect of a wrong assumption."""
         return self.assume()
 
     @property
@@ -388,7 +393,7 @@ class Calibration(HasCovariance):
 
     @property
     def temperatures_c(self) -> Floats:
-        """Temperatures of the block at the readings in the fit, oriented and free, °C, without unknown ones."""
+        """Known temperatures of the block at the readings in the fit, oriented and free, °C."""
         tables = [self.fitted, *([] if self.free is None else [self.free])]
         known = np.concatenate([table.temperature_c for table in tables])
         return np.asarray(known[np.isfinite(known)])

@@ -72,7 +72,7 @@ class ThermalReadings:
 
     @property
     def both_sides(self) -> Mask:
-        """Whether the temperature of a row was reached both rising and falling, shape (n,)."""
+        """Mask (n,) of the rows whose temperature was reached both rising and falling."""
         sides = [set(self.branch[self.level == level].tolist()) for level in range(self.levels)]
         return np.array([{RISING, FALLING} <= sides[level] for level in self.level])
 
@@ -95,8 +95,8 @@ def inner_range(low_c: float, high_c: float) -> str:
 def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
     """Sort the oriented rows of tables into mountings, visits and plateaus.
 
-    Each table is in the order of measurement. Raises `CalibrationError` if the tables differ in unit, have no
-    oriented row, or an oriented row has no temperature.
+    The rows of each table are in the order of measurement. Raises `CalibrationError` if the tables differ in unit,
+    have no oriented row, or an oriented row has no temperature.
     """
     units = {table.unit: table.source for table in tables}
     if len(units) > 1:
@@ -198,10 +198,11 @@ class PlateauResult:
 
 @dataclass(frozen=True)
 class ThermalHysteresis(HasCovariance):
-    """Thermal hysteresis (rising minus falling at one temperature): `size` (12,) with `covariance` (12, 12).
+    """Thermal hysteresis of the coefficients: rising minus falling at one temperature.
 
-    One size holds for all temperatures reached from both sides. `p` is the p-value of all twelve sizes together
-    (F test); `p_each` (12,) are the p-values of the single coefficients, multiplied by twelve (Bonferroni).
+    `size` (12,) are the differences with their `covariance` (12, 12); they are equal for all temperatures reached
+    from both sides. `p` is the p-value of all twelve differences together (F test); `p_each` (12,) are those of the
+    single coefficients, multiplied by twelve (Bonferroni).
     """
 
     size: Floats
@@ -211,7 +212,7 @@ class ThermalHysteresis(HasCovariance):
 
     @property
     def scatter(self) -> Floats:
-        """Covariance (12, 12) of the coefficients if the branch is unknown.
+        """Covariance (12, 12) of the coefficients due to the hysteresis, if the branch is unknown.
 
         The coefficients then deviate by half the hysteresis in either direction. The part of the hysteresis that
         noise alone explains (chi-square of twelve) is subtracted first.
@@ -223,7 +224,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) due to the model."""
+    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) that the temperature model causes."""
 
     specific_force: Floats
     covariance: Floats
@@ -236,15 +237,15 @@ class Compensated:
 
 @dataclass(frozen=True)
 class TemperatureModel:
-    """The coefficients as polynomials in temperature.
+    """The coefficients as polynomials in temperature, valid from `minimum_c` to `maximum_c`.
 
     Coefficient j at temperature T is the sum over d of `values[j, d]` (T - `reference_c`)^d.
 
     `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
-    `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row; it includes the uncertainty
-    due to omitted terms. The model is valid from `minimum_c` to `maximum_c`. `fitted` is the test of the fit
-    against the noise. `curve` is the test of the polynomials against coefficients that are free at each plateau
-    (None if a plateau alone does not determine them).
+    `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row. It includes the uncertainty
+    due to terms that the data did not support, if the data chose the degrees. `fitted` tests the fit against the
+    noise. `curve` tests the polynomials against coefficients that are free at each plateau (None if a plateau alone
+    does not determine them).
     """
 
     unit: str
@@ -327,11 +328,10 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """The largest errors, g, of a compensation table against the polynomials.
+    """The largest errors, g, of a compensation table compared with the polynomials.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the
-    additional error of single precision at accelerations up to `reach_g`. `looks` is the number of temperatures
-    compared.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the additional
+    error of single precision at accelerations up to `reach_g`. The comparison is at `looks` temperatures.
     """
 
     bias: float
@@ -381,11 +381,11 @@ class CompensationTable:
 
 
 def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = None) -> CompensationTable:
-    """Return the table over the model's valid range, for accelerations up to `reach_g`.
+    """Return the compensation table over the model's valid range, for accelerations up to `reach_g`.
 
-    Without `step_k` the steps are halved until the table's error at 1 g is a tenth of the least standard
-    uncertainty of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine step, and if K
-    is singular at a temperature.
+    Without `step_k` the step is halved until the table's error at 1 g is a tenth of the least standard uncertainty
+    of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine step, and if K is singular
+    at a temperature.
     """
     low, high = model.minimum_c, model.maximum_c
     span = high - low
@@ -408,7 +408,10 @@ def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = N
 
 
 def inverse_entries(model: TemperatureModel, temperature_c: Floats) -> Floats:
-    """Return N (9) and U0 (3) at temperatures (n,), shape (n, 12). Raises `CalibrationError` for a singular K."""
+    """Return N (nine elements, g/unit) and U0 (unit) at temperatures (n,), shape (n, 12).
+
+    Raises `CalibrationError` for a singular K.
+    """
     coefficients = model.coefficients(temperature_c)
     scale = coefficients[:, :9].reshape(-1, 3, 3)
     if not np.isfinite(scale).all() or np.any(np.linalg.cond(scale) > 1e8):
@@ -482,7 +485,7 @@ def _least_u(model: TemperatureModel) -> float:
 
 
 def approximation(table: CompensationTable) -> dict[str, float | int]:
-    """Return the errors of the table, g, keyed by their names in the result."""
+    """Return the errors of the table by their names in the result, with the number of temperatures compared."""
     error = table.error
     return {
         "interpolation_bias_g": error.bias,

@@ -46,11 +46,12 @@ WEAKEST: Final = 1e-3
 
 @dataclass(frozen=True)
 class ThermalProblem:
-    """The input of a fit: readings (n, 3), basis functions of their rows (n, m), and unknown terms (12, m).
+    """The input of a fit over temperature: readings, their basis functions, and the unknown terms.
 
-    `terms` (12, m) is the mask of the unknown terms. `problem` has the conditions, with an index for each mounting,
-    and the stand's angles. `groups` (n,) numbers the repeats. `floor` is the lower limit of the noise, in the unit
-    of the signal.
+    `signal` (n, 3) are the readings, `basis` (n, m) the values of m basis functions at the readings. `terms` (12,
+    m) is true for each coefficient and basis function that the fit estimates. `problem` has the conditions, with an
+    index for each mounting, and the stand angles. `groups` (n,) numbers the groups of repeats. `floor` is the lower
+    limit of the noise, in the unit of the signal.
     """
 
     problem: Problem
@@ -92,7 +93,7 @@ class ThermalProblem:
         return np.concatenate([by_term, by_angle], axis=2)
 
     def determined(self) -> bool:
-        """Whether the rows determine all terms when every coefficient has all basis functions."""
+        """Whether the readings determine all terms if every coefficient has all basis functions."""
         force = self.force(self.problem.prior_mean)
         columns = linear_columns(force)
         whole = (columns[:, :, None] * self.basis[:, None, :]).reshape(len(force), -1)
@@ -107,10 +108,10 @@ class ThermalProblem:
 
 @dataclass(frozen=True)
 class ThermalFit:
-    """A fit over temperature: estimates `values` (12, m), zero for terms not fitted, and `covariance` (t, t).
+    """A fit over temperature: estimates `values` (12, m), zero for terms not fitted, and their covariance.
 
-    The covariance has the fitted terms in the order of `numpy.nonzero(terms)`. `others` (q,) are the stand angles.
-    `misfit` is the chi-square of residuals and priors; `residuals` and `slope` are (n, 3).
+    `covariance` (t, t) has the t fitted terms in the order of `numpy.nonzero(terms)`. `others` (q,) are the stand
+    angles, rad. `misfit` is the chi-square of residuals and priors; `residuals` and `slope` (du/dphi) are (n, 3).
     """
 
     values: Floats
@@ -206,10 +207,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and `doubts` (2, 12, D + 1): how far all terms change if one more term is kept.
+    """The chosen `degrees` (12,), and the changes (2, 12, D + 1) if a coefficient keeps one more term.
 
-    `doubts[0]` keeps the next even power of temperature, `doubts[1]` the next odd power. The changes are zero if
-    no term was dropped.
+    `doubts[i, j]` are the changes of the terms of coefficient j if it also keeps the power `degrees[j]` + 1 + i of
+    temperature. They are zero if that power was not dropped.
     """
 
     degrees: Ints
@@ -217,10 +218,11 @@ class DegreeChoice:
 
 
 def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
-    """Choose the degrees from a fit in which every coefficient has powers 0…`highest` (the first columns).
+    """Choose the degrees of the polynomials in temperature by backward elimination.
 
-    The least significant of the highest terms is dropped, one at a time, until all of them are significant in an F
-    test with the noise's degrees of freedom.
+    In the fit `full` every coefficient has the powers 0 to `highest`, as the first columns of its terms. Each step
+    tests the highest remaining power of every coefficient by an F test with the noise's degrees of freedom. It
+    drops the power with the largest p-value, until no p-value exceeds `STAYS_P`. The power 0 always stays.
     """
     coefficient, function = np.nonzero(full.terms)
     degrees = np.full(len(full.terms), highest, dtype=np.int64)
@@ -239,9 +241,10 @@ def choose_degrees(full: ThermalFit, highest: int) -> DegreeChoice:
 
 
 def held_at_zero(value: Floats, covariance: Floats, keep: Mask) -> tuple[Floats, Floats]:
-    """Return the estimate (t,) and covariance of the terms to `keep`, with all other terms held at zero.
+    """Return the estimate and covariance of the terms in the mask `keep` if all other terms are zero.
 
-    The result equals the least-squares estimate of a fit with these terms alone.
+    `value` (t,) and `covariance` (t, t) are those of a fit with all t terms. The result equals the least-squares
+    estimate of a fit with the kept terms alone.
     """
     pull = np.linalg.solve(covariance[np.ix_(~keep, ~keep)], covariance[np.ix_(~keep, keep)])
     return value[keep] - value[~keep] @ pull, covariance[np.ix_(keep, keep)] - covariance[
@@ -313,11 +316,11 @@ def temperature_model(
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` is as for `calibrate`. Without `degree` each coefficient has a separate degree, at first the highest
-    that the temperatures allow; its highest term is dropped as long as an F test finds it insignificant (p >
-    0.05). The covariance includes the uncertainty due to dropped terms. Raises `CalibrationError` if the model has
-    effects, a row has no temperature, the temperatures are fewer than two or do not determine the polynomials, or
-    the reference is outside their range.
+    `stand_u` is as for `calibrate`. Without `degree` the data choose the degree of each coefficient (see
+    `choose_degrees`), from the highest that the temperatures allow downwards; the covariance then includes the
+    uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, a row has no temperature,
+    the temperatures are fewer than two or do not determine the polynomials, or the reference is outside their
+    range.
     """
     body = _body(tables, model, stand_u, reference_c)
     highest, by_side = _highest(body, degree)

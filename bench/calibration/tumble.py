@@ -71,7 +71,10 @@ def term_of(parameter: str) -> tuple[str, float]:
 
 
 def columns(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Floats:
-    """Return the design matrix (n, 4 + t) of E/K1 at specific forces (n, 3), g: `LINEAR`, then `terms`."""
+    """Return the design matrix (n, 4 + t) of E/K1 for a channel at specific forces (n, 3), g.
+
+    Its columns are those of `LINEAR`, then one for each of the t nonlinear `terms`.
+    """
     i, j, k = channel, (channel + 1) % 3, (channel + 2) % 3
     linear = [force[:, i], force[:, j], force[:, k], np.ones(len(force))]
     return np.column_stack([*linear, *(_nonlinear(term, force, conditions)[:, channel] for term in terms)])
@@ -88,8 +91,8 @@ def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
 class Separable:
     """The requested terms of a channel, and which of them its orientations determine.
 
-    Of the terms `asked`, those `kept` are estimated. A term of `inseparable` acts like the listed shares of kept
-    terms. It is not estimated: the estimates of the kept terms contain these shares of it. A term without shares
+    Of the terms `asked`, those `kept` are estimated. `inseparable` maps each other term to the shares of kept terms
+    that act like it. The estimates of these kept terms contain the term with these shares. A term without shares
     affects no reading.
     """
 
@@ -123,8 +126,8 @@ class Separable:
 def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Separable:
     """Return which of `LINEAR` and `terms` the orientations determine; earlier terms have precedence.
 
-    `force` (n, 3), g, is at the nominal geometry. A term counts as determined if more than the fraction `HIDDEN` of
-    its column is independent of the terms before it.
+    `force` (n, 3), g, is at the nominal geometry. A term is determined if more than the fraction `HIDDEN` of its
+    column is linearly independent of the determined terms before it.
     """
     asked = (*LINEAR, *terms)
     whole = columns(force, channel, terms, conditions)
@@ -178,7 +181,10 @@ class Quantity:
 
     @property
     def words(self) -> str:
-        """The estimated sum, such as "K3 + 0.586 Koq"; for the scale factor the shares are relative."""
+        """The combination of terms that was estimated, such as "K3 + 0.586 Koq".
+
+        For the scale factor the shares are relative.
+        """
         parts = "".join(f" {'+' if c > 0 else '-'} {abs(c):.3g} {term}" for term, c in self.contains.items())
         if not parts:
             return self.name
@@ -191,11 +197,11 @@ class TumbleView(HasCovariance):
 
     `axes` has the m quantities of all channels, in the order of `names` ("x.K0") and of `covariance` (m, m).
     `covariance_readings` is the part of the covariance due to the readings and the stated stand errors; if
-    `combined`, `covariance` has further parts. `judged` says which terms the orientations determine. `left_out`
-    has, by channel, term and quantity, the change of the quantity, g or g/g^n, by 1 g/g^n of a term that was not
-    requested. `block` has the coefficients estimated together with these terms. `gain` (m, n, 3) is the linear
-    map from the readings `fitted` to the quantities; `slope` (n, 3) is du/dphi. `above` describes the points
-    above 1 g that joined the fit.
+    `combined`, `covariance` also has the errors that no reading shows. `judged` says which terms the orientations
+    determine. `left_out[channel][term][quantity]` is the change of the quantity, g or g/g^n, if a term that was not
+    requested has the size 1 g/g^n. `block` has the coefficients estimated together with the requested terms. `gain`
+    (m, n, 3) is the linear map from the readings `fitted` to the quantities; `slope` (n, 3) is du/dphi. `above`
+    describes the points above 1 g that joined the fit.
     """
 
     unit: str
@@ -242,12 +248,12 @@ def tumble_view(
     assumed_u: Mapping[str, float] | None = None,
     above: CentrifugePoints | None = None,
 ) -> TumbleView:
-    """Estimate the requested terms (of `HOMES`) from the oriented readings; other arguments as in `calibrate`.
+    """Estimate the requested `terms` (names in `HOMES`) of each accelerometer from the oriented readings.
 
-    The terms replace the effects of the model. Points `above` 1 g join the fit. At 1 g a power series is not
-    unique (DTIC AD0607702): only points above 1 g separate a cubic term from terms that act like one at 1 g.
-    Raises `CalibrationError` if the readings do not determine the twelve coefficients, or a term is unknown or
-    repeated.
+    The other arguments are as in `calibrate`. The terms replace the effects of the model. Points `above` 1 g join
+    the fit. At 1 g a power series is not unique (DTIC AD0607702): only points above 1 g separate a cubic term from
+    terms that act like one at 1 g. Raises `CalibrationError` if the readings do not determine the twelve
+    coefficients, or a term is unknown or repeated.
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
@@ -311,7 +317,7 @@ def _of_assumed(problem: Problem, fit: gls.Fit, through: Floats, assumed: Mappin
 
 
 def with_terms(model: ForwardModel, terms: Sequence[str]) -> ForwardModel:
-    """Return the model with the effects of the terms, each once and of size zero, as its only effects."""
+    """Return the model with no effects but those of the terms, each once and with the value zero."""
     homes = dict.fromkeys(HOMES[term] for term in terms)
     return replace(model, effects=tuple(AppliedEffect(CATALOGUE[home], {}) for home in homes))
 
@@ -375,7 +381,7 @@ def _rows(problem: Problem, fit: gls.Fit, judged: Separable, channel: int, unit:
 def sized(
     axes: Mapping[str, Sequence[Quantity]], covariance: Floats, readings: Floats
 ) -> dict[str, tuple[Quantity, ...]]:
-    """Return the quantities with `u` from `covariance` (m, m) and `u_readings` from its part `readings` (m, m)."""
+    """Return the quantities with `u` from their covariance (m, m), and `u_readings` from its part `readings`."""
     u, shown = iter(u_of(covariance).tolist()), iter(u_of(readings).tolist())
     return {
         channel: tuple(replace(q, u=next(u), u_readings=next(shown)) for q in own)
@@ -434,10 +440,11 @@ def _left_out(
 def combine(
     view: TumbleView, bench: BenchFile, model: ForwardModel, terms: Sequence[str], day: date | None = None
 ) -> TumbleView:
-    """Return the view with its combined covariance, which has no priors for `terms`, because these are estimated.
+    """Return the view with its combined covariance, which adds the errors that no reading shows.
 
-    `day` is the date of the readings, from which the drift since each certificate follows. For a view in another
-    unit than volts, a note says that errors of voltmeters are left out.
+    It has no part from priors of the `terms`, because these are estimated. `day` is the date of the readings, from
+    which the drift since each certificate follows. For a view in another unit than volts, a note says that errors
+    of voltmeters are left out.
     """
     taken = MeasuredReadings(view.fitted, view.block, meters_of(bench), view.slope)
     covariance = view.covariance.copy()

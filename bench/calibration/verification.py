@@ -34,11 +34,12 @@ HIGHEST_CONDITION: Final = 1e8
 
 @dataclass(frozen=True)
 class VerificationPoint:
-    """One reading at a verification point: modulus `g_p` and its error `delta_g` in local g, with u and U = k u.
+    """One reading at a verification point: modulus `g_p`, its error `delta_g` in local g, u and U = k u.
 
-    `accepted_up_to` is the acceptance limit of the rule; it is negative if nothing is accepted, because U exceeds
-    the limit. A value without a decision is not `rejected`. `p_outside` is the probability that the true error is
-    outside the limit. u is already widened for few degrees of freedom, so that `k` and `dof` are the same for all.
+    `accepted_up_to` is the acceptance limit of the rule; it is negative if no value is accepted, for example
+    because U exceeds the limit. A point on which the rule makes no decision is not `rejected`. `p_outside` is the
+    probability that the true error is outside the limit. u is already widened for few degrees of freedom, so that
+    `k` and `dof` are the same for all points.
     """
 
     k: ClassVar[float] = COVERAGE_FACTOR
@@ -69,25 +70,25 @@ class VerificationPoint:
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability of a false acceptance of an accepted point, or of a conditional pass still to be decided.
+        """Probability that accepting the point is wrong; None unless it is accepted or a conditional pass.
 
-        None for any other point.
+        A conditional pass counts only if its acceptance is still to be decided.
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
 
     @property
     def p_false_reject(self) -> float | None:
-        """Probability of a false rejection; None unless the point is rejected."""
+        """Probability that rejecting the point is wrong; None unless the point is rejected."""
         return 1.0 - self.p_outside if self.rejected else None
 
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """Two changes, each of which would make a verification pass: another limit of |delta g|, or another u.
+    """The limit of |delta g| with which a verification would pass, and the u with which it would pass.
 
-    `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices. `point` is the one that
-    exceeds its acceptance limit most.
+    Either change suffices. `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices.
+    `point` is the point that exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -107,11 +108,12 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` counts points that were planned or recorded but could not be judged; if one is missing, nothing is
-    accepted, since equation (10) applies to every point. `covariance` (n, n) is the covariance of delta g at the
-    points; `contributions` are the parts of this covariance by name. `population` is the prior distribution of
-    delta g, over many blocks. Unless `fits`, the coefficients contradict their own readings. `contradiction` is a
-    sentence on readings that contradict the orientation stated for installation V, empty if none does.
+    `missing` is the number of points that were planned or recorded but could not be judged. If one is missing, the
+    verification does not pass, since equation (10) applies to every point. `covariance` (n, n) is the covariance of
+    delta g at the points; `contributions` are the parts of this covariance by name. `population` is the prior
+    distribution of delta g, over many blocks. `fits` is false if the coefficients contradict their own readings.
+    `contradiction` is a sentence on readings that contradict the orientation stated for installation V, empty if
+    none does.
     """
 
     limit_g: float
@@ -170,8 +172,7 @@ class Verification:
     def p_outside_worst(self) -> float:
         """Largest probability, over the points, that the true error at a point is outside the limit.
 
-        With a population, the result is the posterior probability given the readings at all points, as in
-        `p_outside`.
+        With a population, it is the posterior probability given the readings at all points.
         """
         if self.population is None:
             return max(point.p_outside for point in self.points)
@@ -190,7 +191,7 @@ class Verification:
     def to_pass(self) -> LimitToPass | None:
         """The limit, or the u, with which the verification would pass, all else equal.
 
-        None if the verification passes, lacks points, or is of a model or an orientation that does not fit.
+        None if the verification passes, lacks points, or the model or the stated orientation does not fit.
         """
         if self.passed or self.missing or not self.fits or self.contradiction:
             return None
@@ -246,13 +247,13 @@ def verify(
 
     `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
     block calibrated elsewhere. u of each delta g follows from the `covariance` (12, 12) of the coefficients and
-    from `reading_noise`, independent in each signal (unit of the signal; one size, or one per channel). `joint`
+    from `reading_noise`, independent in each signal (unit of the signal; one value, or one per channel). `joint`
     replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in the gravity of the
-    coefficients. The setting error of the head has no effect, because the modulus
-    does not depend on it. `rule` is one of `RULES`, a `DecisionRule`, or None for the default. Unless `fits`, the
-    coefficients contradict their own readings, and no point is accepted; neither is a point whose readings
-    contradict the orientation `stated` for it. Raises `CalibrationError` if there is no verification row, K is
-    singular or the rule is unknown.
+    coefficients. The setting error of the head has no effect, because the modulus does not depend on it. `rule` is
+    one of `RULES`, a `DecisionRule`, or None for the default. If `fits` is false, the coefficients contradict their
+    own readings, and no point is accepted. A point whose readings contradict the orientation `stated` for it is not
+    accepted either. Raises `CalibrationError` if there is no verification row, K is singular or the rule is
+    unknown.
     """
     rows = points_of(readings)
     if not np.isfinite(block.K).all() or np.linalg.cond(block.K) > HIGHEST_CONDITION:
@@ -311,7 +312,10 @@ def verify(
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return the statement that the rule allows: under a binary rule, a conditional one becomes pass or fail."""
+    """Return the statement that the rule allows.
+
+    Under a binary rule a conditional statement becomes pass if the point `passed`, else fail.
+    """
     conditional = statement in {Statement.CONDITIONAL_PASS, Statement.CONDITIONAL_FAIL}
     if rule == NON_BINARY or not conditional:
         return statement

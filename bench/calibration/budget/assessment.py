@@ -53,8 +53,8 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    For each source, `by_source` has the covariance (d, 3, 3), g², that it causes, and `dof` the degrees of freedom
-    of its size.
+    `by_source` maps each source to the covariance (d, 3, 3), g², that it causes; `dof` maps it to the degrees of
+    freedom of its standard uncertainty.
     """
 
     force: Floats
@@ -68,7 +68,7 @@ class MeasuredAcceleration:
 
     @property
     def u_vector(self) -> Floats:
-        """Root mean square of the error vector, g, shape (d,)."""
+        """Root mean square length of the error vector, g, shape (d,)."""
         return np.asarray(np.sqrt(np.trace(self.covariance, axis1=1, axis2=2)))
 
     @property
@@ -91,11 +91,12 @@ class MeasuredAcceleration:
 def measured(
     budget: Budget, force: Floats, *, reading: bool = True, same_voltmeters: bool = False
 ) -> MeasuredAcceleration:
-    """Return the uncertainty of accelerations `force` (d, 3), g, each from one reading.
+    """Return the uncertainty of accelerations `force` (d, 3), g, each measured by one reading.
 
-    Without `reading` only the errors of the coefficients count. With `same_voltmeters`, the voltmeters of the
-    calibration read the block and their gain and offset cancel; otherwise other voltmeters of the same accuracy
-    read it. The temperature is the calibration temperature. Raises `CalibrationError` for an acceleration of zero.
+    Without `reading` only the errors of the coefficients count. With `same_voltmeters` the voltmeters of the
+    calibration measure the acceleration, so that their gain and offset errors cancel; without it, other voltmeters
+    of the same accuracy do. The temperature is the calibration temperature. Raises `CalibrationError` for an
+    acceleration of zero.
     """
     if not np.all(np.linalg.norm(force, axis=1) > 0.0):
         raise CalibrationError("an acceleration of zero has no direction; give at least a few micro g")
@@ -173,8 +174,9 @@ def _of_effect(source: ErrorSource, budget: Budget, force: Floats) -> Floats:
 
 
 def directions(count: int = DIRECTIONS) -> Floats:
-    """Return unit vectors (count + 6, 3): `count` spread evenly over the sphere (golden spiral), then six along the
-    axes.
+    """Return unit vectors (count + 6, 3) in all directions, for means and maxima over the sphere.
+
+    The first `count` are spread evenly over the sphere (golden spiral), the last six lie along the axes.
     """
     i = np.arange(count) + 0.5
     z, turn = 1.0 - 2.0 * i / count, np.pi * (1.0 + np.sqrt(5.0)) * i
@@ -189,7 +191,10 @@ def magnitudes(range_g: float) -> tuple[float, ...]:
 
 
 class AtMagnitude(ResultModel):
-    """Mean and largest u, g, of vector and modulus, over all directions at one magnitude."""
+    """Standard uncertainties (g) of a measured acceleration of one magnitude, over all directions.
+
+    They are the mean and the largest over the directions, for the vector and for its modulus.
+    """
 
     magnitude_g: float
     u_vector_mean: float
@@ -203,7 +208,10 @@ class AtMagnitude(ResultModel):
 def over_directions(
     budget: Budget, magnitude_g: float, *, reading: bool = True, same_voltmeters: bool = False
 ) -> AtMagnitude:
-    """Return mean and largest u of vector and modulus of an acceleration of `magnitude_g`, over all directions."""
+    """Return the uncertainties of a measured acceleration of `magnitude_g`, over all directions.
+
+    For `reading` and `same_voltmeters` see `measured`.
+    """
     found = measured(budget, magnitude_g * directions(), reading=reading, same_voltmeters=same_voltmeters)
     even = slice(0, DIRECTIONS)
     u, factor = found.u_modulus, coverage_factor(found.dof_modulus)
@@ -238,10 +246,10 @@ class DeltaG(ResultModel):
 
 
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
-    """Return the variances of delta g, local g², (v, sources), at the v verification points of the setup.
+    """Return the variances of delta g, local g², due to each source, shape (v, sources).
 
-    Errors of gain and of gravity act alike on calibration and check, and cancel. Without `reading` only the errors
-    of the coefficients count.
+    They are those at the v verification points of the setup. Errors of gain and of gravity act alike on calibration
+    and check, and cancel. Without `reading` only the errors of the coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -305,9 +313,10 @@ DIGITS: Final = 1
 
 @dataclass(frozen=True)
 class ExactResult:
-    """Monte Carlo and linear results for 12 coefficients, then for delta g at each verification point.
+    """Results of a Monte Carlo simulation (`trials`) and of the linear budget (`linear`), to compare both.
 
-    `names` (m,) are the outputs; `verdict` compares both methods by JCGM 101:2008, clause 8.
+    `names` (m,) are the outputs: 12 coefficients, then delta g at each verification point. `verdict` compares both
+    methods by JCGM 101:2008, clause 8.
     """
 
     names: tuple[str, ...]

@@ -35,7 +35,7 @@ _SAME_FORCE_G: Final = 1e-6
 
 @dataclass(frozen=True)
 class Setup:
-    """The readings of a budget, with their model and block.
+    """The readings that a budget is for, with the model of the bench and the block.
 
     `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x, y,
     z: channels with the same number share a meter.
@@ -209,11 +209,10 @@ def estimator_map(
 ) -> Floats:
     """Return an estimator's linear map (12, n, 3) from readings to coefficients; zero at verification points.
 
-    `stated` maps stand errors to standard uncertainties (rad, V), by which generalised least squares weighs
-    the readings. `known`, prior knowledge from other runs, replaces these uncertainties. For an iterative
-    estimator, the result is the map of its last step, for readings without outliers. Raises
-    `CalibrationError` for an unknown estimator, and for readings that do not determine the coefficients or do
-    not suit the closed form.
+    Generalised least squares weighs the readings by the standard uncertainties (rad, V) of stand errors, by name in
+    `stated`; prior knowledge from other runs, `known`, replaces these. For an iterative estimator, the result is
+    the map of its last step, for readings without outliers. Raises `CalibrationError` for an unknown estimator, and
+    for readings that do not determine the coefficients or do not suit the closed form.
     """
     by = in_a_budget(estimator)
     require_rank(setup.force[setup.fitted])
@@ -323,10 +322,10 @@ class MeasuredReadings:
 
     @cached_property
     def orientation(self) -> Ints:
-        """Orientation number of each reading, (n,), equal for equal angles, rounded to a degree, in one
-        installation.
+        """Orientation number of each reading, shape (n,).
 
-        Each reading without an orientation has a separate number.
+        It is equal for readings of one installation with equal angles, rounded to a degree. Each reading without an
+        orientation has a number of its own.
         """
         of = self.readings
         degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
@@ -461,10 +460,10 @@ HARDLY_ANY: Final = 1e-3
 
 
 def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
-    """Return the principal components (n, q) of a stationary process of unit variance.
+    """Return the principal components (n, q) of a stationary process of unit variance at times (n,).
 
-    With an infinite correlation time the process is a constant, which averaging over passes does not reduce:
-    limits do not state how a quantity varies within them (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce. This
+    suits limits that do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -510,9 +509,8 @@ _PATTERNS: Final[Mapping[str, Callable[[ErrorSource, AnyReadings], _Patterns]]] 
 class Contribution:
     """The contribution of one error source to the uncertainty of the 12 coefficients.
 
-    `parts` (12, q) has a column for each of q independent errors of the source: the change of the
-    coefficients if that error equals its standard uncertainty. The columns are uncorrelated, so that their
-    squares add.
+    `parts` (12, q) has a column for each of q independent errors of the source: the change of the coefficients if
+    that error equals its standard uncertainty. The columns are uncorrelated: their squares add up to the variances.
     """
 
     source: ErrorSource
@@ -578,9 +576,8 @@ def make_budget(
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
 
-    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources (see
-    `estimator_map`). Prior knowledge from other runs, `known`, replaces them. Raises `CalibrationError` if the
-    readings do not determine the coefficients.
+    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources, or by
+    `known` (see `estimator_map`). Raises `CalibrationError` if the readings do not determine the coefficients.
     """
     if stated is None:
         stated = {source.name: source.u for source in sources if source.name in STAND_ERRORS}
@@ -592,7 +589,7 @@ def make_budget(
 def parts_of(source: ErrorSource, setup: AnyReadings, functionals: Floats) -> Floats:
     """Return the changes (m, q) of m linear functionals (m, n, 3) of the n readings due to a source.
 
-    Column j is the change due to draw j of the source, with the size of one standard uncertainty.
+    Column j is the change if draw j of the source equals one standard uncertainty.
     """
     parts = [influence.through(functionals) for influence in influences(source, setup)]
     return source.acting(np.concatenate(parts, axis=1))

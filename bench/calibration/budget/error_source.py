@@ -1,4 +1,4 @@
-"""Error sources: size, distribution, shared draws; sources learned from other runs; tilt of the foundation."""
+"""Error sources, also those learned from other runs, and the tilt rate of the foundation."""
 
 from __future__ import annotations
 
@@ -47,15 +47,15 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 
 @dataclass(frozen=True)
 class ErrorSource:
-    """An error source: its distribution in `unit` (SI); `common` says which readings share one random draw.
+    """An error source: the distribution of its error, and the readings that share one random draw of it.
 
-    `origin` says where the size comes from; `prior` marks a plausible size that nobody stated. `factors`
-    multiply the error where it acts (temperature coefficients, per K). For a parameter of an effect, `effect`
-    is set, and `written_in` has the unit of model files and its size in SI. `channels` are the channels on
-    which the error acts; K2 and K3 act only on channels without such an effect in the model. For correlated
-    draws, `root` (q, k) turns k independent draws into q correlated ones. `angles` are the kinds of stand
-    angle whose means over mountings this source describes. `correlation_s` is the correlation time of an error that
-    is common in "time".
+    The error is in `unit` (SI); `common` says which readings share a draw. `origin` says where the distribution
+    comes from; `prior` marks a plausible one that nobody stated. `factors` multiply the error where it acts
+    (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and `written_in` has the unit
+    of model files and its value in SI. The error acts on `channels`; K2 and K3 act only on channels without such an
+    effect in the model. For correlated draws, `root` (q, k) turns k independent draws into q correlated ones. If
+    the source describes means of stand angles over mountings, `angles` names these angles. `correlation_s` is the
+    correlation time of an error that is common in "time".
     """
 
     name: str
@@ -99,14 +99,14 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., k) of k independent draws, each of one standard uncertainty.
+        """Return the effects (..., k) of k independent draws, each one standard uncertainty.
 
         `draws` (..., q) are the effects of the q errors of this source, per unit of the error.
         """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
     def sized(self, u: float) -> ErrorSource:
-        """Return the source with the standard uncertainty `u`, normally distributed."""
+        """Return the source with a normal distribution of standard uncertainty `u`."""
         return replace(self, distribution=Distribution(u), origin="as asked")
 
 
@@ -117,11 +117,11 @@ LEARNED: Final = message("learned of the bench")
 def learned_sources(
     stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's sources for readings in the mountings `mounts`, given knowledge from other runs.
+    """Return the stand's error sources for the mountings `mounts`, given knowledge from other runs.
 
     An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
-    deviations keep the names of the `stated` sources; the means form one source with correlated draws.
-    Reading noise becomes one source per channel.
+    deviations keep the names of the `stated` sources; the means form one source with correlated draws. Reading
+    noise becomes one source per channel.
     """
     return tuple(_sources(stated, known, mounts))
 
@@ -211,7 +211,7 @@ class TiltRate:
         )
 
     def source(self) -> ErrorSource:
-        """Return the tilt rate as an error source of a bench, with the larger of the two sizes."""
+        """Return the tilt rate as one error source, with the larger of the two standard uncertainties."""
         size = replace(FOUNDATION, limit=max(self.along_rad_s, self.across_rad_s), shape="normal", k=1.0)
         return ErrorSource(NAME, "α1, α2", "rad/s", size, "run", "stand", self.origin, self.dof, self.prior)
 
@@ -219,10 +219,10 @@ class TiltRate:
         self, conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation],
         functionals: Floats,
     ) -> Floats:  # fmt: skip
-        """Return the changes (m, 2) of m linear functionals (m, n, 3) of the readings due to the two tilt rates.
+        """Return the changes (m, 2) of m linear functionals of the readings due to the two tilt rates.
 
-        Each rate has the size of its standard uncertainty. `across` (n, 3) is the derivative of the signals by an
-        angle about the shaft.
+        Each tilt rate equals its standard uncertainty. `functionals` are (m, n, 3). `across` (n, 3) is the
+        derivative of the signals by an angle about the shaft.
         """
         tilts = np.stack(tilt_patterns(conditions, block, across, installations))
         return np.asarray(
@@ -233,7 +233,10 @@ class TiltRate:
 def tilt_patterns(
     conditions: Conditions, block: Block, across: Floats, installations: Mapping[str, Installation]
 ) -> tuple[Floats, Floats]:
-    """Return the changes of the signals, V, (n, 3) each, by a tilt rate of 1 rad/s along and across the shaft."""
+    """Return the changes of the signals (V) by a tilt rate of 1 rad/s along and across the shaft.
+
+    Each of the two is (n, 3).
+    """
     time_s = np.nan_to_num(conditions.elapsed_s)
     begun = np.array([time_s[conditions.mount == m].min() for m in range(len(conditions.mounts))])
     gone_s = (time_s - begun[conditions.mount])[:, None]
@@ -246,7 +249,8 @@ def tilt_patterns(
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
     """Return the foundation's tilt rate; None if nothing states it and the platform was not `levelled`.
 
-    Levellings recorded with the readings take precedence over the bench file.
+    Levellings recorded with the readings take precedence over the bench file. For a levelled platform without
+    either, the paper's rate is assumed.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

@@ -40,7 +40,7 @@ _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV"
 
 @dataclass(frozen=True)
 class Size:
-    """The size of an error: distribution, origin, degrees of freedom, and whether it is a prior."""
+    """The distribution of an error, its origin and degrees of freedom; `prior` if nobody stated it."""
 
     distribution: Distribution
     origin: str
@@ -49,16 +49,17 @@ class Size:
 
     @classmethod
     def stated(cls, size: ErrorSize) -> Size:
-        """Return a size that the bench file states."""
+        """Return the distribution that the bench file states."""
         return cls(size.to_distribution(), message("bench file"), size.dof)
 
 
 def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None) -> Size:
     """Return the uncertainty of a meter's relative gain, or of its zero in V, on the day of the readings.
 
-    With a certificate, u² = (U / k)² + a² / 3. Here a is the drift since the calibration: the certified drift
-    per year times the years, or else the maker's limits for that time. Without a certificate, the maker's 90-day
-    limits apply. Source: JCGM 100:2008, 4.3.3, 4.3.7, (G.2b).
+    With a certificate, u² = (U / k)² + a² / 3. Here a is the drift since the calibration: the certified drift per
+    year times the years, or else the maker's limits for that time. If `day` is None, the drift is that until the
+    certificate's validity ends. Without a certificate, the maker's 90-day limits apply. Source: JCGM 100:2008,
+    4.3.3, 4.3.7, (G.2b).
     """
     found = _certified(quantity, meter)
     if meter.certificate is None or found is None:
@@ -96,7 +97,10 @@ def _certified(quantity: Quantity, meter: VoltmeterForm) -> CertifiedGain | Cert
 
 
 def linearity_of(meter: VoltmeterForm, largest_v: float) -> Size:
-    """Return the maker's limit of a meter's nonlinearity, V, for signals up to `largest_v`."""
+    """Return the distribution of a meter's nonlinearity, V, for signals up to `largest_v`.
+
+    It is rectangular within the maker's limit.
+    """
     of_reading, of_range = USUAL_LINEARITY if isinstance(meter, UnknownVoltmeter) else meter.kind.linearity
     limit = of_reading * largest_v + of_range * meter.range
     return Size(Distribution(limit, "rectangular"), _data_sheet(meter), prior=True)
@@ -157,7 +161,10 @@ class JointErrors:
 
     @property
     def root(self) -> tuple[tuple[float, ...], ...]:
-        """Matrix (n, n) that turns n independent draws of size `u` into errors with this covariance."""
+        """Matrix (n, n) that turns n independent draws into errors with this covariance.
+
+        Each draw has the standard deviation `u`.
+        """
         size, axes = np.linalg.eigh(self.covariance)
         root = axes * np.sqrt(np.maximum(size, 0.0)) / max(self.u, 1e-300)
         return tuple(tuple(row) for row in root.tolist())
@@ -166,11 +173,11 @@ class JointErrors:
 def joint_errors(
     told: LearnedDifferences, at: Sequence[int | None], prior_u: Floats, certified: Mask, kept: float
 ) -> JointErrors | str:
-    """Return the joint errors of n meters from learned differences, or the reason why these are not used.
+    """Return the joint errors of n meters given learned differences, or the reason not to use these.
 
-    `at` has the index of each meter in `told` (None: not learned); `prior_u` (n,) are the u by certificates or
-    makers' limits, `certified` (n,) marks the meters with certificates. `kept` is the correlation of a meter's
-    error with its error on the day of learning.
+    `at` has the index of each meter in the learned differences `told`, None for a meter not among them. `prior_u`
+    (n,) are the standard uncertainties by certificates or makers' limits; `certified` (n,) marks the meters with
+    certificates. `kept` is the correlation of a meter's error with its error on the day of learning.
     """
     n = len(prior_u)
     places = [place if place is not None else -1 for place in at]
@@ -227,7 +234,7 @@ def _as_certified(found: JointErrors, prior: Floats, certified: Mask) -> JointEr
 
 @dataclass(frozen=True)
 class LearnedMeters:
-    """Learned differences of gain (1) and of zero (V) between `meters`, as of `day`."""
+    """Learned differences of relative gain and of zero (V) between the meters `meters`, as of `day`."""
 
     meters: tuple[str, ...]
     day: datetime.date
@@ -239,8 +246,8 @@ class LearnedMeters:
 class KnownMeters:
     """The errors of a bench's voltmeters that follow from learned differences between them.
 
-    `quantities` maps a source's name to its size and the joint errors of the meters. `gain` and `offset_v` (x, y,
-    z) correct the readings: U (1 + gain) + offset.
+    `quantities` maps the name of a source to its distribution and the joint errors of the meters. `gain` and
+    `offset_v` (x, y, z) correct the readings: U (1 + gain) + offset.
     """
 
     quantities: Mapping[str, tuple[Size, JointErrors]]
@@ -251,9 +258,10 @@ class KnownMeters:
 def known_meters(
     bench: BenchFile, day: datetime.date, meters: Sequence[str], learned: LearnedMeters
 ) -> tuple[KnownMeters | None, tuple[str, ...]]:
-    """Return the voltmeters' errors on `day` by learned differences (None if these are not used), and notes.
+    """Return the voltmeters' errors on `day` given learned differences between the meters, and notes.
 
-    `meters` are the identities of the voltmeters.
+    `meters` are the identities of the voltmeters. The errors are None if no learned difference is used; the notes
+    say why.
     """
     apart = abs((day - learned.day).days) / METERS_DRIFT.days
     kept = math.sqrt(max(1.0 - apart**2, 0.0))
@@ -349,10 +357,11 @@ FLICKER_RMS: Final = float(np.sqrt(np.sum(1.0 / np.arange(1, HALF_WAVES + 1)) / 
 
 
 def flicker_waves(time_s: Floats) -> Floats:
-    """Return 1/f noise of standard deviation 1 per decade of frequency at the times (n,), as waves (n, 16).
+    """Return waves (n, 16) at the times (n,) whose random sum is 1/f noise.
 
-    The noise is the sum of the waves, each times an independent standard normal number. The waves have a half to
-    eight periods over the times; slower parts are constant, faster ones resemble noise without correlation.
+    In the sum each wave is multiplied by an independent standard normal number. The noise has a standard deviation
+    of 1 per decade of frequency. The waves have a half to eight periods over the times; slower parts are constant,
+    faster ones resemble noise without correlation.
     """
     span = float(np.ptp(time_s))
     if not span > 0.0:

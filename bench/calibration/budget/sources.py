@@ -1,4 +1,4 @@
-"""The error sources of a bench file: size, distribution, shared draws, and origin of the size."""
+"""The error sources that follow from a bench file, each with its distribution and the origin of it."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that a calibration's combined u contains in addition to readings and stand angles.
+    """Return the error sources in a calibration's combined u besides the readings and the stand angles.
 
     Local gravity is left out: coefficients are stated per local g.
     """
@@ -94,9 +94,10 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit estimates, with an assumed size if the file states none.
+    """Return the sources that no reading shows and no fit estimates.
 
-    `meters` replaces the voltmeter sources by errors inferred from learned differences between the meters.
+    If the bench file does not state an error, its distribution is assumed, or the source is left out. `meters` are
+    errors inferred from learned differences between the meters; they replace the voltmeters' sources.
     """
     return (
         *_voltmeter_sources(bench, day, meters),
@@ -116,8 +117,8 @@ def hidden_sources(
 def stand_sources(bench: BenchFile) -> tuple[ErrorSource, ...]:
     """Return the stand errors of a bench file.
 
-    An unstated third mounting angle has the size of `mounting_error`, because the same surfaces determine both
-    angles.
+    An unstated third mounting angle has the distribution of `mounting_error`, because the same surfaces determine
+    both angles.
     """
     sizes = bench.stand_distributions()
     dof = {name: section.dof for name in STAND_ERRORS if (section := getattr(bench.stand, name)) is not None}
@@ -137,7 +138,7 @@ ROLL_ORIGIN: Final = message("not stated: as mounting_error")
 
 
 def assumed_stand(bench: BenchFile) -> dict[str, Distribution]:
-    """Return the stand errors that every bench has and this file does not state, by name, with assumed sizes."""
+    """Return assumed distributions, by name, of stand errors that every bench has and this file leaves out."""
     if bench.stand.mounting_roll is not None:
         return {}
     return {"mounting_roll": bench.stand_distributions()["mounting_error"]}
@@ -193,7 +194,10 @@ def _voltmeter_sources(
 
 
 def meter_gain_sources(bench: BenchFile, day: datetime.date | None) -> Iterator[ErrorSource]:
-    """Yield the errors of the voltmeters' gains on `day`, with an assumed size if the bench file states none."""
+    """Yield the errors of the voltmeters' gains on `day`.
+
+    Without a statement of the bench file, they follow from certificates or makers' limits.
+    """
     return (one for one in _voltmeter_sources(bench, day, None) if one.kind == "voltmeter_gain")
 
 
@@ -227,10 +231,10 @@ def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]
 
 
 def unread_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield a source for each thermal gain or offset of the meters in the model, in readings without a temperature.
+    """Yield a source for each thermal gain or offset of the meters whose temperature was not recorded.
 
-    The temperature is unknown within the limits of the room. Its correlation time is the longer of the
-    effect's lag and the room's lag. A coefficient without u has the catalogue's plausible size as u.
+    The temperature is unknown within the limits of the room. Its correlation time is the longer of two lags: that
+    of the effect and that of the room. A coefficient without u has the catalogue's plausible size as u.
     """
     room = bench.uncertainty.room_temperature
     for applied in model.effects:
@@ -405,8 +409,8 @@ def _stated(
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
-    Without a stated u the size is the catalogue's plausible one. (A fit uses a wider prior, so that the data
-    decide.) For the effect of a meter temperature that was not recorded, see `unread_sources`.
+    If the file states no u, it is the catalogue's plausible size of the parameter. (A fit uses a wider prior, so
+    that the data decide.) For the effect of a meter temperature that was not recorded, see `unread_sources`.
     """
     problem, unread = setup.effect_problem, setup.conditions.meter_c is None
     for name, unknown in zip(problem.names(), problem.effects, strict=True):

@@ -45,7 +45,7 @@ def sign(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> Calibration:
-    """Return the calibration with its combined covariance, from readings and from errors that they do not show.
+    """Return the calibration with its combined covariance, which adds errors that its readings do not show.
 
     `readings` is the whole table of the calibration, `day` its date, `meters` the learned errors of the voltmeters.
     For readings in another unit than volts, a note says that errors of voltmeters are left out.
@@ -180,7 +180,10 @@ def acting_sources(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> list[ErrorSource]:
-    """Return the hidden sources that act on readings in `unit`; other arguments as in `hidden_sources`."""
+    """Return the hidden sources that act on readings in `unit`.
+
+    The other arguments are those of `hidden_sources`. Errors of voltmeters act on readings in volts only.
+    """
     found = hidden_sources(bench, model, day, meters)
     return [error for error in found if unit == VOLTS or error.kind not in OF_METERS]
 
@@ -190,13 +193,13 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None, calibrated_c: float | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a|, local g², at verification rows judged by another day's coefficients.
+    """Return the covariance (v, v) of |a|, local g², at verification rows, given coefficients of another day.
 
-    `covariance` (12, 12) and `noise` (3,) belong to the coefficients. With `same_meters`, the meters' gain and
-    offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of today's meters are
-    added. `block_terms` (12, q), as in `Calibration`, correlate the effect of K2 and K3 on the coefficients with
-    their effect on the readings at the points. `calibrated_c` is the temperature of the block, °C, at its
-    calibration, None if unknown. All other errors of the readings count in full.
+    `covariance` (12, 12) is that of the coefficients, `noise` (3,) the noise of the signals. With `same_meters` the
+    meters' gain and offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of
+    today's meters are added. All other errors of the readings count in full. `block_terms` (12, q), as in
+    `Calibration`, correlate the effect of K2 and K3 on the coefficients with their effect on the readings at the
+    points. `calibrated_c` is the temperature of the block, °C, at its calibration, None if unknown.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
