@@ -299,10 +299,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 
 @dataclass(frozen=True)
 class Threshold:
-    """The least evidence that counts as a finding, which a complete model exceeds with `probability`.
+    """The threshold `value` of the evidence for a missing effect; chance exceeds it with `probability`.
 
-    It is ln of the odds that an effect is missing. By chance it exceeds `start` plus x with probability
-    `p_start` exp(-x / `decay`), determined from `nulls` simulated data sets.
+    The evidence is ln of the odds that an effect is missing. If none is, it exceeds `start` plus x with probability
+    `p_start` exp(-x / `decay`). This tail was fitted to `nulls` simulated data sets.
     """
 
     value: float
@@ -318,7 +318,7 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the p-value of this `evidence`, which counts all tests; 1 if it is below the fitted tail."""
+        """Return the p-value of this `evidence`, which counts all tests; 1 if it is not above `start`."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
@@ -331,7 +331,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return residuals (N, sets) simulated with a complete model, unit of the signal.
+    """Return residuals (N, sets), unit of the signal, simulated without a missing effect.
 
     `sigma` is the noise of a reading in this unit; `ratios` (sets,) is the noise ratio of each data set.
     """
@@ -346,7 +346,10 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold from `nulls` data sets of a complete model; noise ratios are drawn from their prior."""
+    """Return the evidence threshold for a missing effect, from simulated data sets without a missing effect.
+
+    `nulls` is the number of data sets; the noise ratio of each is drawn from its prior.
+    """
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
@@ -356,9 +359,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that the `evidence` (sets,) of complete models exceeds in `FALSE_ALARMS` of cases.
+    """Return the threshold that the `evidence` (sets,) exceeds with probability `FALSE_ALARMS`.
 
-    The tail begins at `OFTEN`; the quantile of its exponential has a smaller variance than the empirical one.
+    The evidence is of data sets simulated without a missing effect. An exponential is fitted to the fraction
+    `OFTEN` with the largest evidence; its quantile has a smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)
     many = max(int(OFTEN * len(ordered)), 10)
