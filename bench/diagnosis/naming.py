@@ -55,10 +55,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The effects found, in the order of the search.
-
-    `left` is ln of the odds that another effect is missing.
-    """
+    """The effects found, in the order of the search; `left` is ln of the odds that another effect is missing."""
 
     found: tuple[FoundEffect, ...]
     left: float

@@ -211,7 +211,7 @@ class Proposal:
 
     @property
     def surer(self) -> Chance | None:
-        """The first of `chances`, the procedure most likely to resolve every tie; None if there is no tie."""
+        """The entry of the proposed procedure in `chances`; None if there are no ties."""
         return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property

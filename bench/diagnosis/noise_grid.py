@@ -428,10 +428,7 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number (n,) for each setting; settings of one mounting at one angle have the same number.
-
-    Angles are rounded to `MARK_DEG`.
-    """
+    """Return a number (n,) for each setting, the same for one mounting at one angle, rounded to `MARK_DEG`."""
     mount, angle = _mounts_and_angles(linear)
     cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()

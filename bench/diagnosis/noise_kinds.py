@@ -46,10 +46,10 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A hypothesis on the noise: a `linear` system with the noise that it states, and its odds.
+    """A hypothesis on the noise: a `linear` system with this noise, the odds, and `words` for people.
 
-    `what` is a key of `LOG_PRIOR`; `words` describe the noise. `log_odds` is ln of the prior odds against ordinary
-    noise, minus the cost of the parameters fitted to the readings.
+    `what` is a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus the cost of the
+    parameters fitted to the readings.
     """
 
     what: str

@@ -507,8 +507,8 @@ def starting_states(
 ) -> tuple[AppliedEffect, ...]:
     """Return the starting state of each mounting and channel as a part (`InPart`) of the effect found.
 
-    The prior u follows from the amplitude in `sized`. The value is zero unless the starting states repeat. Parts
-    `begun` precede these in the model.
+    The prior u follows from the amplitude in `sized`. The value is zero unless the starting states repeat. The
+    parts are numbered after the parts `begun`.
     """
     states: list[AppliedEffect] = []
     for found, mine in naming.sizes():
