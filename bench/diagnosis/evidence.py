@@ -1,13 +1,13 @@
-"""Bayesian evidence of every candidate, with priors on physical size, the noise unknown.
+"""Bayesian evidence of every candidate, with priors on physical size and unknown noise.
 
 A variant has the whitened columns A, each for a parameter of plausible size, with amplitudes b ~ N(0, s^2). The
-residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then ln of the evidence is -1/2
-ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, as a plausible
-size is a guess, and over the ratio of the two noise sizes. The evidence depends on the data only by r^T r and A^T
-r. Therefore many data sets can be scored at once.
+residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then ln of the evidence is -1/2 ln|I
++ s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, because a plausible
+size is a guess, and over the noise ratios. The evidence depends on the data only by r^T r and A^T r. Therefore many
+data sets can be scored at once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on readings simulated with a
-complete model.
+The threshold is the evidence that chance alone reaches: the same search runs on readings simulated without a
+missing effect.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The scalar products of the candidates' columns at each noise ratio; `kept` is a cache of scores."""
+    """The candidates at each ratio of a noise `grid`, by the scalar `products` of their whitened columns.
+
+    `kept` is a cache of scores.
+    """
 
     grid: NoiseGrid
     candidates: Candidates
@@ -74,7 +77,7 @@ class Whitened:
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
-        """Return the whitened columns of all candidates."""
+        """Return the candidates with the scalar products of their whitened columns."""
         return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
@@ -88,7 +91,11 @@ class Whitened:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """Variants by number p of columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
+        """Variants, grouped by their number p of columns.
+
+        A group has the indices (v,) of its v variants, those of their columns (v, p), and their Gram matrices
+        (ratios, v, p, p).
+        """
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -99,7 +106,10 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the products of data sets with the columns; `response` (N, sets) has residuals, unit of signal."""
+        """Return the scalar products of data sets with the columns.
+
+        `response` (N, sets) has the residuals of each data set, unit of the signal.
+        """
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
         square = np.empty((len(white), sets))
         along = np.empty((len(white), self.candidates.columns.shape[1], sets))
@@ -116,8 +126,8 @@ class Whitened:
 class Group:
     """The variants with p columns, from whose Gram matrices the known columns are projected out.
 
-    The eigenvectors are `vectors` (ratios, v, p, p), the eigenvalues `values` (ratios, v, p); `members` (v,)
-    and `columns` (v, p) are indices of variants and columns.
+    `vectors` (ratios, v, p, p) and `values` (ratios, v, p) are the eigenvectors and eigenvalues of these matrices.
+    `members` (v,) and `columns` (v, p) are indices of variants and columns.
     """
 
     members: Ints
@@ -184,9 +194,9 @@ class Search:
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of all columns with the sum of `columns` (indices) times `sizes` (k,).
+        """Return the products (P,) of all columns with a signal, the sum of `columns` times `sizes` (k,).
 
-        The known columns are projected out; `ratio` is the index of the noise ratio.
+        `columns` are indices. The known columns are projected out; `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across(chosen, slice(ratio, ratio + 1))[0]
@@ -202,7 +212,7 @@ class Search:
         )
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence for the first data set, with size and ratio of the noise integrated out."""
+        """Return ln of the evidence for the first data set, with the noise and the noise ratio integrated out."""
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
@@ -243,7 +253,11 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """ln of the Bayes factor of each variant (variants, sets); probability of each noise `ratio` (ratios, sets)."""
+    """The scores of all variants in each data set.
+
+    `variants` (variants, sets) is ln of the Bayes factor; `ratio` (ratios, sets) is the probability of each noise
+    ratio.
+    """
 
     variants: Floats
     ratio: Floats
@@ -376,8 +390,8 @@ def fit_tail(evidence: Floats) -> Threshold:
 class ThresholdCache:
     """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    The name of a file is a hash of all that its threshold depends on: angles (to 1 arcmin), times (10 s),
-    temperatures (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
+    The name of a file is a hash of all that its threshold depends on. These are angles (rounded to 1 arcmin), times
+    (10 s), temperatures (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
     """
 
     folder: Path | None

@@ -176,7 +176,7 @@ class RecordWork:
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Variant]) -> list[Noise]:
-        """Return the most probable noise of each component beside the courses, whose sizes have no prior."""
+        """Return the most probable noise of each component; the amplitudes of the courses have no prior."""
         none, signal = np.zeros((len(self.record), 0)), self.signal
         return [
             self.trials.products(self.columns(courses, k), none, signal[:, k : k + 1]).noise
@@ -324,7 +324,7 @@ class RecordWork:
     # --- results --------------------------------------------------------------------------------------
 
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
-        """Return `finds` as named effects with values; channels of no more than noise are left out."""
+        """Return `finds` as named effects with values; channels without a significant value are left out."""
         courses = [f.variant for f in finds]
         noises, shown, u_of_shapes = self.noises(courses), [], []
         sizes, known = [np.zeros(0)], [np.zeros(0)]

@@ -134,9 +134,10 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear` with the kind of noise of `prepared`, a system of the same readings in another model.
+    """Return `linear` with the noise of `prepared`, a system of the same readings in another model.
 
-    With several blocks, whose rows are in another order, `linear` gets only the noise by channel and by run.
+    With several blocks, the rows of the two systems are in another order. Then `linear` gets only the noise by
+    channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -154,10 +155,10 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What every search needs besides the readings; effects in `absent` are not searched.
+    """The arguments that every search needs besides the readings; effects in `absent` are not searched.
 
-    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error"; `resolution` is the
-    step of the last digit, unit of the signal.
+    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error"; `resolution` is the step
+    of the last digit, unit of the signal.
     """
 
     model: ForwardModel

@@ -256,10 +256,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of the best of `forms`, each of plausible size.
-
-        Free unknowns are projected out.
-        """
+        """Return the signal-to-noise ratio of a plausible size for the best of `forms`, beside free unknowns."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
 
 
