@@ -1,10 +1,10 @@
 """Bayesian evidence of every candidate, with priors on physical size and unknown noise.
 
 A variant has the whitened columns A, each for a parameter of plausible size, with amplitudes b ~ N(0, s^2). The
-residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then ln of the evidence is -1/2 ln|I
-+ s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, because a plausible
-size is a guess, and over the noise ratios. The evidence depends on the data only by r^T r and A^T r. Therefore many
-data sets can be scored at once.
+residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then the logarithm of the evidence is
+-1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, because a
+plausible size is a guess, and over the noise ratios. The evidence depends on the data only by r^T r and A^T r.
+Therefore many data sets can be scored at once.
 
 The threshold is the evidence that chance alone reaches: the same search runs on readings simulated without a
 missing effect.
@@ -91,11 +91,7 @@ class Whitened:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """Variants, grouped by their number p of columns.
-
-        A group has the indices (v,) of its v variants, those of their columns (v, p), and their Gram matrices
-        (ratios, v, p, p).
-        """
+        """Groups of variants with p columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -106,10 +102,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the scalar products of data sets with the columns.
-
-        `response` (N, sets) has the residuals of each data set, unit of the signal.
-        """
+        """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
         square = np.empty((len(white), sets))
         along = np.empty((len(white), self.candidates.columns.shape[1], sets))
@@ -332,7 +325,7 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the p-value of this `evidence`, which counts all tests; 1 if it is not above `start`."""
+        """Return the p-value of this `evidence`, over all candidates; 1 if it is not above `start`."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
@@ -453,7 +446,7 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return name, stage and formula of each effect defined by a formula, for the key of a threshold."""
+    """Return name, stage and formula of each effect defined by a formula, on which a threshold depends."""
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

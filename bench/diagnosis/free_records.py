@@ -88,12 +88,12 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if the coefficient `of[channel]` grows by the scale factor."""
+        """Return the change of |a| (N,), g, if the coefficient `of[channel]` changes by the scale factor."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return sensor and record of a row in words with a comma, each only if there are several."""
+        """Return the sensor and the record of a row in words, with commas; each only if there are several."""
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
@@ -306,7 +306,7 @@ class BetweenRecords:
     repeats: Repeats
 
     def term_sizes(self) -> list[str]:
-        """Return the size by channel of the term that widens u as a bench file states it ("1.7 mg"), if any."""
+        """Return, by channel, the term that enlarges u, as in a bench file ("1.7 mg"); empty without it."""
         term = self.repeats.term
         if term is None:
             return []
@@ -339,7 +339,7 @@ class BetweenRecords:
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:
-    """Return the change of the biases between records; None unless a sensor has two records with biases."""
+    """Return the changes of the biases between records; None unless a sensor has biases in two records."""
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
     u = np.full_like(zero, np.nan)

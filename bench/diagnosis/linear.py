@@ -30,8 +30,8 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
-    It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
-    `contradicts` says whether this angle is significant.
+    It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes.
+    `contradicts` says whether this angle is larger than the u of the stand angles permits.
     """
 
     block_from_platform: Floats
@@ -249,9 +249,10 @@ class LinearSystem:
         """Return the linearised changes of the rows by an effect (k = 1) or k time courses (n, k) at one stage.
 
         At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At the
-        output of the block, a course is in g. In the voltmeter, it is in the unit of the signal. If
-        `in_proportion`, a course is a fraction of the specific force or of the signal. There the result is (N, k,
-        3), by channel. An effect must act in block or voltmeter, and must not depend on the path of the head.
+        output of the block, a course is in g; in the voltmeter, it is in the unit of the signal. If
+        `in_proportion`, it is a fraction of the specific force or of the signal. In block and voltmeter, the result
+        is (N, k, 3), by channel. An effect must act in one of these two, and must not depend on the path of the
+        head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):

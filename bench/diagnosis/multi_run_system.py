@@ -249,7 +249,7 @@ OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_dri
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Return the candidates for readings of one or several runs; arguments as `make_candidates`."""
+    """Return the candidates for readings of one or several runs; the arguments are those of `make_candidates`."""
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)

@@ -331,18 +331,12 @@ class ColumnProducts:
     taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P columns.
-
-        The slice `at` selects noise ratios.
-        """
+        """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P, for the ratios `at`."""
         whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
         return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the Gram matrices (ratios, …, p, p) of sets of columns, whose indices are `columns` (…, p).
-
-        The slice `at` selects noise ratios.
-        """
+        """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
         if columns.shape[-1] == 1:
             return np.asarray(self.square[at][:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.rows[:, columns], 0, -2)
@@ -498,10 +492,7 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the standard deviation of the rounding error that repeats share.
-
-    `digit` is the step of the last digit; `sigma` is the noise of a reading including rounding.
-    """
+    """Return the 1 sigma of the rounding error that repeats share; `sigma` is the noise with rounding."""
     if not digit > 0.0:
         return 0.0
     return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

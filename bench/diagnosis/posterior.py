@@ -45,7 +45,7 @@ class NoiseSize:
 class Posterior:
     """Joint estimates of all unknowns, `mean`, with their `covariance`.
 
-    In this order: changes of the 12 coefficients of each block; amplitudes of `LinearSystem.random`, in prior
+    The order is: changes of the 12 coefficients of each block; amplitudes of `LinearSystem.random`, in prior
     standard deviations; amplitudes of the `effects` columns found, in plausible sizes.
     """
 
@@ -218,7 +218,7 @@ ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect whose sizes in the three channels, in volts, agree within u."""
+    """Yield a sentence for each effect whose values in the three channels, as voltages, agree within u."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)

@@ -212,10 +212,7 @@ def groups_of(time_s: Floats) -> list[Ints]:
 
 
 def levels_apart(reference_v: Floats) -> bool:
-    """Return whether the reference (n,) changes by more than `LEVELS` of its largest value.
-
-    It is False for a reference that stays below `ZERO_V`.
-    """
+    """Return whether the reference (n,) reaches `ZERO_V` and changes by more than `LEVELS` of its maximum."""
     largest = np.abs(reference_v).max()
     return bool(largest >= ZERO_V and np.ptp(reference_v) > LEVELS * largest)
 

@@ -114,7 +114,7 @@ class RecordWork:
         return alike[int(np.argmin(apart))] if alike else None
 
     def of_channels(self, variant: Variant) -> bool:
-        """Return whether each channel has its own size of the effect; otherwise one size is common to all."""
+        """Return whether the effect has an amplitude for each channel, and not one common to all."""
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def without(self, effects: Sequence[AppliedEffect]) -> RecordWork:

@@ -214,8 +214,8 @@ class Diagnosis(Findings):
     `far` are readings far from the model. `p_left` is the p-value of the noise about the model with all finds
     against that of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show
     (empty: all). `absent` maps effects to the reason why this bench cannot have them. `unseen_per_turn` are periods
-    per turn of head errors that do not change the readings. `detectable` is the amplitude of each effect that half
-    of all runs find, in plausible sizes; `smallest` is the joint amplitude of several parameters.
+    per turn of head errors that do not change the readings. `detectable` is the amplitude at which half of all runs
+    find each effect, in plausible sizes; `smallest` is the joint amplitude of several parameters.
 
     `in_part` are possible parts of the finds with other shapes, which the u of the coefficients includes;
     `left_open` are the parts for a model file. `findings` state where noise is larger than stated; `noise_kinds`,

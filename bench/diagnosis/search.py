@@ -1,7 +1,7 @@
 """The search for effects in readings of one or several runs, under the kind of noise of the largest evidence.
 
-The system of one run is linearised again about the effects found until accurate. In several runs, effects are
-searched in all runs together, and in each run alone.
+The system of one run is linearised about the effects found, repeatedly until this is accurate. In several runs,
+effects are searched in all runs together, and in each run alone.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from bench.readings.table import Readings
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings prepared for the search: system, noise of repeats, whitened candidates, products, threshold.
+    """Readings prepared for the search: their linear system, noise of repeats, candidates and threshold.
 
     `data` are the products of the residuals with the candidates, `limit` is the threshold of the evidence.
     `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the finds, is

@@ -26,7 +26,7 @@ from bench.readings.table import VERIFICATION
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
-    """Return, for each effect, the amplitude that half of all runs find, in plausible sizes.
+    """Return, for each effect, the amplitude at which half of all runs find it, in plausible sizes.
 
     It is that of the form that shows best, and infinite if no amplitude is ever found. `ratio` is the index of the
     noise ratio.
@@ -53,7 +53,7 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The joint amplitude of several `parameters`, in `unit`, that half of all runs find.
+    """The joint amplitude of several `parameters`, in `unit`, at which half of all runs find their effect.
 
     `size` is the root of the sum of squares of the parameters. If `part`, the readings do not show some proportions
     of the parameters at any credible amplitude.
@@ -66,7 +66,7 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return, for effects with several amplitudes of one unit, the joint amplitude that half of all runs find.
+    """Return, for effects with several amplitudes of one unit, the joint one at which half of all runs find them.
 
     It is for the best channel, mounting and shape, and the worst proportions of the amplitudes (such as the phase
     of a wave). The arguments are those of `detectable`.
@@ -275,7 +275,7 @@ HARMONICS: Final = (
 class ResidualPattern:
     """One pattern of the residuals, in a channel and an installation, with its amplitude in `unit`.
 
-    `p` is corrected for the number of patterns tried; `p_local` is not.
+    The p-value `p` is corrected for the number of patterns; `p_local` is not.
     """
 
     channel: str
@@ -294,10 +294,10 @@ Look = tuple[str, str, str, Floats]
 def find_places(
     linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
 ) -> tuple[ResidualPattern, ...]:
-    """Return the significant patterns of the residuals, the largest first, at most `LISTED`.
+    """Return the significant patterns of the residuals, the most significant first, at most `LISTED`.
 
-    `ratio` is the index of the noise ratio; `sigma`, unit of the signal, is the noise from repeats, with
-    `freedom` degrees of freedom. p-values are corrected for the number of patterns.
+    `ratio` is the index of the noise ratio; `sigma`, unit of the signal, is the noise from repeats, with `freedom`
+    degrees of freedom. p-values are corrected for the number of patterns.
     """
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)

@@ -1,7 +1,7 @@
 """Readings minus prediction as one table, on which mistakes compete with changes of the bench.
 
-Every hypothesis adds columns with normal priors to the linear model. All are compared by their evidence, with
-the size of the noise integrated out and averaged over the noise ratio, as in the search for effects.
+Every hypothesis adds columns with normal priors to the linear model. All are compared by their evidence, as in the
+search for effects: the standard deviation of the noise is integrated out, and the noise ratio is averaged over.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class ProjectedReadings:
 
     @property
     def log_evidence(self) -> float:
-        """ln of the evidence of the readings, with the size of the noise integrated out, up to a constant."""
+        """ln of the evidence of the readings, with the noise integrated out, up to a constant."""
         return self.log_det - 0.5 * self.table.freedom * float(np.log(self.square))
 
     @property
@@ -92,7 +92,7 @@ class ProjectedReadings:
 
     @cached_property
     def blocks(self) -> Floats:
-        """The information matrix (n, 3, 3) of the errors of each reading's channels, in units of noise."""
+        """The information matrix (3, 3) of the errors of each reading's channels, (n, 3, 3), in units of noise."""
         own = self.basis.reshape(len(self.table.left), 3, -1)
         seen = np.swapaxes(self._ways, 1, 2) @ own
         return np.asarray(np.swapaxes(self._ways, 1, 2) @ self._ways - seen @ np.swapaxes(seen, 1, 2))
@@ -209,7 +209,7 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        Repeats are within half of `MARK_DEG` of their median: a wrong setting stays with its repeats.
+        Repeats are within half of `MARK_DEG` of their median, so that a slightly wrong setting counts as a repeat.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)

@@ -1,9 +1,9 @@
 """The search for mistakes of procedure and wiring, which are corrected one after the other in a copy.
 
-The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is
-left. The record itself is never changed. Other meanings of the record are tried first, because these gross
-mistakes move readings by volts. Only when they are corrected does a fit give a block about which wrong
-settings and outliers are linear changes.
+The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is left.
+The record itself is never changed. Gross mistakes (other meanings of the record) come first, because they move
+readings by volts. Wrong settings and outliers come last: they are linear changes only about a block that was fitted
+to readings without gross mistakes.
 """
 
 from __future__ import annotations
