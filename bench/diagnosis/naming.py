@@ -40,7 +40,7 @@ class FoundEffect:
     `evidence` is ln of the Bayes factor of its family, with all other finds in the model. `total` is ln of the odds
     that an effect is missing if the model lacks this find. `size` is the root of the decrease of chi-square. `odds`
     are the probabilities of the families that could be in its place. The readings do not exclude its `ties`; those
-    in `same` change the readings alike. `plainer_than` are families that include it and need more parameters.
+    in `same` have the same signature. `plainer_than` are families that include it and need more parameters.
     """
 
     variant: Variant

@@ -338,7 +338,7 @@ Shape = tuple[tuple[str, float], ...]
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
     """Yield the shape `found` with another value of one parameter, for each parameter that has a unit.
 
-    The values are those of the parameter's grid, values between these, and one beyond each end.
+    The values are those of the parameter's grid, values between these, and values just beyond its ends.
     """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)

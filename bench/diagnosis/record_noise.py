@@ -164,8 +164,8 @@ class Products:
         """ln of the restricted likelihood with each column in the first target, its amplitude and variance, (h,).
 
         They are averages over the trial noises of one kind. Of the kinds that the record does not exclude, it is
-        the one with the largest u, which covers the others. The prior of a starting state is its estimate without a
-        prior.
+        the one with the largest u, which covers the others. The prior u of a starting state is the amplitude of its
+        column, as estimated with a free starting state.
         """
         freedom, each = self.freedom - 1, []
         for number in range(len(self.noises)):
