@@ -29,10 +29,10 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    A set is a mounting from a later pass on, a single pass, or a whole mounting. A whole mounting must be one
-    of several of its installation: otherwise its mounting angles describe the same change. If the effect
-    outlasts a remount (`lasting`), any mounting is a set, too, and everything from a later pass on. A mounting
-    of which all passes are in a set has one label.
+    A set is a mounting from a later pass on, a single pass, or a whole mounting. A whole mounting is a set only if
+    its installation has several mountings; otherwise its mounting angles describe the same change. If the effect
+    outlasts a remount (`lasting`), every mounting is a set, and so is everything from a later pass on. A mounting
+    with all its passes in a set appears with one label.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -95,7 +95,10 @@ KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 
 
 class Column(NamedTuple):
-    """What a column estimates: a parameter, in a channel (None: common), in mountings or passes (empty: all)."""
+    """The parameter that a column estimates, in a channel and in some mountings or passes.
+
+    `channel` is None if the parameter is common to all channels; `mounts` is empty for all mountings.
+    """
 
     parameter: str
     channel: int | None
@@ -105,8 +108,9 @@ class Column(NamedTuple):
 class Variant(NamedTuple):
     """One form that a family may take: its channels, its mountings, and its shape (names and SI values).
 
-    `columns` are indices in `Candidates.columns`; the last `starts` are starting states (`Parameter.start_of`),
-    the others `sizes`. For an unnamed family, `where` says where it acts, and `term` is its formula, if any.
+    `columns` are indices in `Candidates.columns`. The last `starts` of them are starting states
+    (`Parameter.start_of`), the others amplitudes (`sizes`). For an unnamed family, `where` says where it acts, and
+    `term` is its formula, if any.
     """
 
     family: str
@@ -120,7 +124,7 @@ class Variant(NamedTuple):
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """The columns of the sizes, without the columns of starting states, which come last."""
+        """The columns of the amplitudes, without the columns of starting states, which come last."""
         return self.columns[: len(self.columns) - self.starts]
 
     @property
@@ -192,9 +196,10 @@ class Collector:
         shape: tuple[tuple[str, float], ...],
         mounts: tuple[str, ...],
     ) -> dict[int | None, Floats]:
-        """Return `plausible_columns`.
+        """Return the columns of one parameter of an effect, as `plausible_columns` does, but faster.
 
-        An effect without a history is computed once for all rows, and set to 0 in the rows of other mountings.
+        The columns of an effect without a history are computed once for all rows. They are set to 0 outside
+        `mounts`.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
@@ -222,7 +227,7 @@ class Collector:
         *,
         several: bool = False,
     ) -> None:
-        """Add a variant of an unnamed family with all `columns`; with `several`, a single one is no pattern."""
+        """Add a variant of an unnamed family with all `columns`; with `several`, only if there are at least two."""
         kind = Column(family, channels[0] if len(channels) == 1 else None)
         places = tuple(self.add(column, kind, 1.0) for column in columns)
         if len(places) > several:
@@ -230,9 +235,9 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates plus the terms of the residual dictionary.
+    """Return the candidates and the terms of the residual dictionary.
 
-    Terms of one course that act on the same quantity are one family, whatever their channels.
+    Terms that follow the same course and act on the same quantity are one family, in whatever channels they act.
     """
     columns: list[Floats] = []
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
@@ -247,14 +252,14 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
-    """Return whether a family is an unnamed term of the residual dictionary, so that it has a formula."""
+    """Return whether a family is a term of the residual dictionary: an unnamed family with a formula."""
     return candidates.variants[candidates.of_family(family)[0]].term is not None
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
-    """Return the candidates without unnamed patterns that an effect of the catalogue reproduces.
+    """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
 
-    After `white`, all columns of such a pattern lie in the span of one shape of the effect, up to `ALIKE`.
+    Such a pattern has all its whitened columns in the span of one shape of the effect, up to `ALIKE`.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -285,9 +290,9 @@ def make_candidates(
 ) -> Candidates:
     """Return every effect that the model may lack for these readings, and the unnamed patterns.
 
-    Left out are effects in `absent`, effects in volts if the signals are not, and effects of the model.
-    `unit_noise` is the prior size of unnamed patterns, unit of the signal. `mount_sets` and `unnamed` choose
-    mountings and patterns; by default they are those of one run.
+    Left out are effects in `absent`, effects of the model and, unless the signals are in volts, effects in volts.
+    `unit_noise` is the prior u of unnamed patterns, unit of the signal. `mount_sets` and `unnamed` choose mountings
+    and patterns; by default they are those of one run.
     """
     collector = Collector(linear)
     for effect in CATALOGUE.values():
@@ -449,9 +454,10 @@ def plausible_columns(
     shape: tuple[tuple[str, float], ...],
     mounts: tuple[str, ...],
 ) -> dict[int | None, Floats]:
-    """Return the change of the rows (N,) by one plausible size, by channel number, or None if common.
+    """Return the changes (N,) of the rows by one plausible size of a parameter, by channel number.
 
-    The effect acts in `mounts` (empty: everywhere), with the shape parameters `shape` in SI.
+    The key is None if the parameter is common to all channels. The effect acts in `mounts` (empty: everywhere),
+    with the shape parameters `shape` in SI.
     """
     values: dict[str, Floats] = {name: np.asarray(value) for name, value in shape}
     size = parameter.plausible
@@ -466,9 +472,10 @@ def plausible_columns(
 
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
-    """Add, for each channel, a free value of prior size `unit` for each angle, and one for each pass.
+    """Add, for each channel, the patterns of a free value for each angle, and of one for each pass.
 
-    The values differ between installations and between visits; `visit` (n,) is that of each reading.
+    The values have the prior u `unit`. They differ between installations and between visits; `visit` (n,) numbers
+    the visit of each reading.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
@@ -512,10 +519,10 @@ OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 @dataclass(frozen=True)
 class KnownBench:
-    """Properties of a bench that exclude effects; None if unknown.
+    """Properties of a bench that exclude effects; a property is None if it is unknown.
 
     `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
-    `scale_on_axis`: the scale of the head is on the axis of the block, without a gear.
+    `scale_on_axis`: the scale of the head is on the axis of the head itself, without a gear.
     """
 
     own_meters: bool | None = None

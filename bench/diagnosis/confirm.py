@@ -41,9 +41,10 @@ Word = Literal["confirmed", "changed", "gone"]
 
 @dataclass(frozen=True)
 class Model:
-    """One fit: reduced chi-square, root mean square of the residuals, and the one that noise alone would give.
+    """One fit: its reduced chi-square, and the root mean square of its residuals.
 
-    Both root mean squares are in g, or in V for records at a known input (`Confirmation.unit`).
+    `expected_rms_g` is the root mean square that noise alone would give. Both root mean squares are in g, or in V
+    for records at a known input (`Confirmation.unit`).
     """
 
     reduced: float
@@ -55,9 +56,9 @@ class Model:
 class EffectNow:
     """One effect of the model, compared with the new readings.
 
-    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of unchanged
-    values, `p_none` that of no effect. `found` are the values in the model; `now`, the values from the new
-    readings alone.
+    `verdict` is None if these readings could not have shown the effect. `p_same` is the p-value of the hypothesis
+    that the values are unchanged, `p_none` that of the hypothesis that the effect is absent. `found` are the values
+    in the model, `now` the values from the new readings alone.
     """
 
     applied: AppliedEffect
@@ -72,7 +73,7 @@ class EffectNow:
 class Confirmation:
     """The result of a confirmation: fits of new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the p-value of the chi-square with the effects; `effects` has their verdicts; `diagnosis` is
+    `p_after` is the p-value of the chi-square with the effects; `effects` has the verdict on each. `diagnosis` is
     that of the new readings with the model. Root mean squares are in `unit`.
     """
 
@@ -134,9 +135,9 @@ def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmatio
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
     """Compare a record at a known input with the effects of a model, and diagnose it for further effects.
 
-    Root mean squares are in V. Sizes from the record alone are averages over the shapes and starting states
-    that it allows, and u includes their spread; a jump keeps its time, a supply its rail. Raises
-    `CalibrationError` if the record cannot be evaluated, or could show none of the effects.
+    Root mean squares are in V. Amplitudes from the record alone are averages over the shapes and starting states
+    that it allows, and u includes the variation between these. A jump keeps the time stated in the model, a supply
+    its rail. Raises `CalibrationError` if the record cannot be evaluated, or could show none of the effects.
     """
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
@@ -184,7 +185,7 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Return the comparison of the fits of two systems, `without` the effects of the model and `having` them.
+    """Return the comparison of two fits: `without` the effects of the model, and `having` them.
 
     `diagnosis` is of the same readings. Raises `CalibrationError` if these could not show any of the effects.
     """
@@ -250,9 +251,9 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 class EstimatedEffects:
     """The m parameters of a model's effects, and how they change in the new readings.
 
-    `plausible` (m,) are plausible sizes in SI, of which all else are multiples: `found` (m,) and `u` (m,) in
-    the model, `change` (m,) from `found` to the new estimate, and the `covariance` (m, m) of the latter,
-    without `u`.
+    `plausible` (m,) are plausible sizes in SI; the other members are multiples of these. `found` (m,) and `u` (m,)
+    are values and uncertainties in the model. `change` (m,) is the new estimate minus `found`; `covariance` (m, m)
+    is that of the new estimate, without `u`.
     """
 
     plausible: Floats

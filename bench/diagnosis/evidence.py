@@ -1,13 +1,13 @@
-"""Bayesian evidence of every candidate, with priors on physical size, the noise unknown.
+"""Bayesian evidence of every candidate, with priors on physical size and unknown noise.
 
 A variant has the whitened columns A, each for a parameter of plausible size, with amplitudes b ~ N(0, s^2). The
-residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then ln of the evidence is -1/2
-ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, as a plausible
-size is a guess, and over the ratio of the two noise sizes. The evidence depends on the data only by r^T r and A^T
-r. Therefore many data sets can be scored at once.
+residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). Then the logarithm of the evidence is
+-1/2 ln|I + s^2 A^T A| - nu/2 ln(r^T r - r^T A (A^T A + 1/s^2)^-1 A^T r). It is averaged over a few s, because a
+plausible size is a guess, and over the noise ratios. The evidence depends on the data only by r^T r and A^T r.
+Therefore many data sets can be scored at once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on readings simulated with a
-complete model.
+The threshold is the evidence that chance alone reaches: the same search runs on readings simulated without a
+missing effect.
 """
 
 from __future__ import annotations
@@ -65,7 +65,10 @@ class Data:
 
 @dataclass(frozen=True)
 class Whitened:
-    """The scalar products of the candidates' columns at each noise ratio; `kept` is a cache of scores."""
+    """The candidates at each ratio of a noise `grid`, by the scalar `products` of their whitened columns.
+
+    `kept` is a cache of scores.
+    """
 
     grid: NoiseGrid
     candidates: Candidates
@@ -74,7 +77,7 @@ class Whitened:
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
-        """Return the whitened columns of all candidates."""
+        """Return the candidates with the scalar products of their whitened columns."""
         return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
@@ -88,7 +91,7 @@ class Whitened:
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
-        """Variants by number p of columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
+        """Groups of variants with p columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
         by_size: dict[int, list[int]] = {}
         for number, variant in enumerate(self.candidates.variants):
             by_size.setdefault(len(variant.columns), []).append(number)
@@ -99,7 +102,7 @@ class Whitened:
         )
 
     def reduce(self, response: Floats) -> Data:
-        """Return the products of data sets with the columns; `response` (N, sets) has residuals, unit of signal."""
+        """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
         square = np.empty((len(white), sets))
         along = np.empty((len(white), self.candidates.columns.shape[1], sets))
@@ -116,8 +119,8 @@ class Whitened:
 class Group:
     """The variants with p columns, from whose Gram matrices the known columns are projected out.
 
-    The eigenvectors are `vectors` (ratios, v, p, p), the eigenvalues `values` (ratios, v, p); `members` (v,)
-    and `columns` (v, p) are indices of variants and columns.
+    `vectors` (ratios, v, p, p) and `values` (ratios, v, p) are the eigenvectors and eigenvalues of these matrices.
+    `members` (v,) and `columns` (v, p) are indices of variants and columns.
     """
 
     members: Ints
@@ -184,9 +187,9 @@ class Search:
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of all columns with the sum of `columns` (indices) times `sizes` (k,).
+        """Return the products (P,) of all columns with a signal, the sum of `columns` times `sizes` (k,).
 
-        The known columns are projected out; `ratio` is the index of the noise ratio.
+        `columns` are indices. The known columns are projected out; `ratio` is the index of the noise ratio.
         """
         chosen = np.array(columns, dtype=np.int64)
         across = sizes @ self.whitened.products.across(chosen, slice(ratio, ratio + 1))[0]
@@ -202,7 +205,7 @@ class Search:
         )
 
     def log_evidence(self, data: Data) -> float:
-        """Return ln of the evidence for the first data set, with size and ratio of the noise integrated out."""
+        """Return ln of the evidence for the first data set, with the noise and the noise ratio integrated out."""
         square, grid = self.left_over(data).square[:, 0], self.whitened.grid
         return float(logsumexp(grid.log_prior + grid.log_det + self.log_det + grid.log_likelihood(square)))
 
@@ -243,7 +246,11 @@ class Search:
 
 @dataclass(frozen=True)
 class Scores:
-    """ln of the Bayes factor of each variant (variants, sets); probability of each noise `ratio` (ratios, sets)."""
+    """The scores of all variants in each data set.
+
+    `variants` (variants, sets) is ln of the Bayes factor; `ratio` (ratios, sets) is the probability of each noise
+    ratio.
+    """
 
     variants: Floats
     ratio: Floats
@@ -299,10 +306,10 @@ It is below `BY_CHANCE`, as the choice of the noise adds a few alarms.
 
 @dataclass(frozen=True)
 class Threshold:
-    """The least evidence that counts as a finding, which a complete model exceeds with `probability`.
+    """The threshold `value` of the evidence for a missing effect; chance exceeds it with `probability`.
 
-    It is ln of the odds that an effect is missing. By chance it exceeds `start` plus x with probability
-    `p_start` exp(-x / `decay`), determined from `nulls` simulated data sets.
+    The evidence is ln of the odds that an effect is missing. If none is, it exceeds `start` plus x with probability
+    `p_start` exp(-x / `decay`). This tail was fitted to `nulls` simulated data sets.
     """
 
     value: float
@@ -318,7 +325,7 @@ class Threshold:
         return replace(self, value=value, probability=probability)
 
     def p(self, evidence: float) -> float:
-        """Return the p-value of this `evidence`, which counts all tests; 1 if it is below the fitted tail."""
+        """Return the p-value of this `evidence`, over all candidates; 1 if it is not above `start`."""
         if evidence <= self.start:
             return 1.0
         return min(float(self.p_start * np.exp(-(evidence - self.start) / self.decay)), 1.0)
@@ -331,7 +338,7 @@ def total_evidence(scores: Scores, whitened: Whitened) -> Floats:
 
 
 def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.random.Generator) -> Floats:
-    """Return residuals (N, sets) simulated with a complete model, unit of the signal.
+    """Return residuals (N, sets), unit of the signal, simulated without a missing effect.
 
     `sigma` is the noise of a reading in this unit; `ratios` (sets,) is the noise ratio of each data set.
     """
@@ -346,7 +353,10 @@ def null_responses(linear: LinearSystem, sigma: float, ratios: Floats, rng: np.r
 
 
 def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS) -> Threshold:
-    """Return the threshold from `nulls` data sets of a complete model; noise ratios are drawn from their prior."""
+    """Return the evidence threshold for a missing effect, from simulated data sets without a missing effect.
+
+    `nulls` is the number of data sets; the noise ratio of each is drawn from its prior.
+    """
     rng = np.random.default_rng(SEED)
     grid = whitened.grid
     ratios = rng.choice(np.array(RATIOS), nulls, p=np.exp(grid.log_prior))
@@ -356,9 +366,10 @@ def make_threshold(linear: LinearSystem, whitened: Whitened, nulls: int = NULLS)
 
 
 def fit_tail(evidence: Floats) -> Threshold:
-    """Return the threshold that the `evidence` (sets,) of complete models exceeds in `FALSE_ALARMS` of cases.
+    """Return the threshold that the `evidence` (sets,) exceeds with probability `FALSE_ALARMS`.
 
-    The tail begins at `OFTEN`; the quantile of its exponential has a smaller variance than the empirical one.
+    The evidence is of data sets simulated without a missing effect. An exponential is fitted to the fraction
+    `OFTEN` with the largest evidence; its quantile has a smaller variance than the empirical quantile.
     """
     ordered = np.sort(evidence)
     many = max(int(OFTEN * len(ordered)), 10)
@@ -372,8 +383,8 @@ def fit_tail(evidence: Floats) -> Threshold:
 class ThresholdCache:
     """A cache of simulated thresholds: a small JSON file for each design in `folder` (None: no cache).
 
-    The name of a file is a hash of all that its threshold depends on: angles (to 1 arcmin), times (10 s),
-    temperatures (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
+    The name of a file is a hash of all that its threshold depends on. These are angles (rounded to 1 arcmin), times
+    (10 s), temperatures (0.01 K), directions, mountings, passes, stand, block, noise (10 %), catalogue and priors.
     """
 
     folder: Path | None
@@ -435,7 +446,7 @@ DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v")
 
 
 def formulas() -> list[str]:
-    """Return name, stage and formula of each effect defined by a formula, for the key of a threshold."""
+    """Return name, stage and formula of each effect defined by a formula, on which a threshold depends."""
     return [
         f"{effect.name}, {effect.stage} {effect.adds_to}: {effect.expression}"
         for effect in CATALOGUE.values()

@@ -62,8 +62,8 @@ def diagnose_free(
     """Diagnose free positions of one or several sensors, from which only |a| = 1 g is known.
 
     Each table is of one sensor in one record; `one_sensor` is as in `make_rows`. The effects of `model` are
-    subtracted with their values, and estimated again together with the coefficients. Raises `CalibrationError`
-    if the positions do not determine the nine coefficients of a sensor.
+    subtracted with their values, and the remainders are estimated together with the coefficients. Raises
+    `CalibrationError` if the positions do not determine the nine coefficients of a sensor.
     """
     rows, apart, left_out = without_outliers(make_rows(tables, one_sensor, model))
     linear = make_system(rows)
@@ -249,8 +249,8 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     """Return the positions without outliers, a sentence for each outlier, and their tables and rows (k, 2).
 
-    Step by step, the position with the largest residual is compared with its prediction from all others. An
-    outlier is twice as far off as a far reading of a run, as real sensors have heavy tails.
+    One after the other, the position with the largest residual is compared with its prediction from all others. An
+    outlier deviates at least twice as much as a far reading of a run, because real sensors have heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []
@@ -276,7 +276,7 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
 
 
 def stated(rows: FreeRows) -> float:
-    """Return the u of |a| at one position, g, from the scatter of samples, which count as independent.
+    """Return the u of |a| at one position, g, from the scatter of its samples, which count as independent.
 
     It is the root mean square over positions and channels; NaN if a table has no `signal_sd`.
     """

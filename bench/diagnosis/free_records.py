@@ -88,12 +88,12 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if the coefficient `of[channel]` grows by the scale factor."""
+        """Return the change of |a| (N,), g, if the coefficient `of[channel]` changes by the scale factor."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return sensor and record of a row in words with a comma, each only if there are several."""
+        """Return the sensor and the record of a row in words, with commas; each only if there are several."""
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
@@ -181,9 +181,9 @@ def _view(block: Block, table: Readings) -> View:
 
 
 def fit_sensor(signal: Floats) -> Block:
-    """Return the coefficients, K upper triangular, that best fit |a| = 1 g to the signals (m, 3).
+    """Return the coefficients, K upper triangular, for which the signals (m, 3) best give |a| = 1 g.
 
-    Raises `CalibrationError` if the positions are too few, or if the fit leaves more than readings at rest can.
+    Raises `CalibrationError` if the positions are too few, or if |a| deviates more than it can in readings at rest.
     """
     block = first_guess_free(signal)
     for _ in range(STEPS):
@@ -207,9 +207,9 @@ def make_rows(
 ) -> FreeRows:
     """Return the free positions of several tables, assigned to sensors and records.
 
-    Tables of the same times are of one record. `one_sensor`: all are of one sensor (True), each of another
-    (False), or coefficients decide (None). Raises `CalibrationError` if positions do not determine the
-    coefficients, units differ, or an effect of `model` needs an angle, time or temperature that is missing.
+    Tables with the same times are of one record. If `one_sensor` is True, all tables are of one sensor; if False,
+    each is of another; if None, the coefficients decide. Raises `CalibrationError` if positions do not determine
+    the coefficients, units differ, or an effect of `model` needs an angle, time or temperature that is missing.
     """
     units = {table.unit: table.source for table in tables}
     if len(units) > 1:
@@ -294,9 +294,9 @@ class BetweenRecords:
     """The changes of biases between records of free positions; each record has a fit of its own.
 
     `zero` and `u` (sensors, records, 3), g, are the biases and their standard uncertainties, NaN where not
-    determined. `scatter` (3,), g, is the standard deviation of the biases about the mean of their sensor;
-    `common` (3,) is the fraction of its variance that sensors share, NaN for one sensor. `repeats` compares
-    scatter and u, and has the term that widens u.
+    determined. `scatter` (3,), g, is the standard deviation of the biases about the mean of their sensor. `common`
+    (3,) is the fraction of this variance that all sensors share, NaN for one sensor. `repeats` compares scatter and
+    u, and has the term that enlarges u.
     """
 
     zero: Floats
@@ -306,7 +306,7 @@ class BetweenRecords:
     repeats: Repeats
 
     def term_sizes(self) -> list[str]:
-        """Return the size by channel of the term that widens u as a bench file states it ("1.7 mg"), if any."""
+        """Return, by channel, the term that enlarges u, as in a bench file ("1.7 mg"); empty without it."""
         term = self.repeats.term
         if term is None:
             return []
@@ -324,7 +324,7 @@ class BetweenRecords:
         )
 
     def in_words(self) -> str:
-        """Return a sentence on the size of the changes and on how far the sensors change together."""
+        """Return a sentence on how much the biases change, and whether the sensors change together."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
         text = f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})"
         shared = zip(CHANNELS, self.common, strict=True)
@@ -339,7 +339,7 @@ class BetweenRecords:
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:
-    """Return the change of the biases between records; None unless a sensor has two records with biases."""
+    """Return the changes of the biases between records; None unless a sensor has biases in two records."""
     records = np.unique(rows.record)
     zero = np.full((rows.sensors, len(records), 3), np.nan)
     u = np.full_like(zero, np.nan)
@@ -407,9 +407,9 @@ class FreeFit:
 class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
-    `noise`, g, is that of |a| at a position with all finds in the model; `stated_g`, g, follows from the
-    scatter of the samples, NaN if not stated. `apart` has a sentence for each position left out, `left_out` (k,
-    2) its table and row. `before` and `after` are fits without and with the finds; `between` has the changes
+    `noise`, g, is that of |a| at a position with all finds in the model. `stated_g`, g, is the u of |a| from the
+    scatter of the samples, NaN if not stated. `apart` has a sentence for each position left out; `left_out` (k, 2)
+    has its table and row. `before` and `after` are fits without and with the finds. `between` has the changes
     between records, None if unknown.
     """
 
@@ -443,7 +443,7 @@ class FreeDiagnosis(Findings):
 
     @property
     def models(self) -> tuple[tuple[AppliedEffect, ...], ...]:
-        """The effects for each sensor's model file; one tuple if none is limited to certain sensors."""
+        """The effects for each sensor's model file; one tuple for all sensors if every effect acts on all."""
         sensors = self.rows.sensors if any(a.installations for a in self.applied) else 1
         return tuple(
             tuple(replace(a, installations=()) for a in self.applied if a.installations in ((), (label,)))

@@ -42,9 +42,9 @@ UNDETERMINED: Final = message("the rest does not determine the coefficients")
 class HeldOut:
     """How well one model predicts the n held-out rows, after a fit to all other rows.
 
-    `error` (n,) is measured minus predicted, unit of the signal; `error_g` (n,) is the same in g. `expected_g`
-    (n,) is the standard deviation of `error_g` that noise and uncertain estimates imply. `chi2` is computed
-    with the full covariance of the errors.
+    `error` (n,) is measured minus predicted, unit of the signal; `error_g` (n,) is the same in g. `expected_g` (n,)
+    is the standard deviation of `error_g` that noise and uncertain estimates imply. `chi2` is that of the errors,
+    with their full covariance.
     """
 
     error: Floats
@@ -60,9 +60,10 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Fold:
-    """One set of held-out rows, predicted `before` and `after` finds of the other rows join the model.
+    """One set of held-out rows, and its predictions from all other rows.
 
-    `gains` maps the name of each find to the increase of chi-square if the prediction omits it.
+    `before` is the prediction without the finds of the other rows, `after` the prediction with them. `gains` maps
+    the name of each find to the increase of chi-square without it.
     """
 
     label: str
@@ -75,8 +76,8 @@ class Fold:
 class Gap:
     """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the finds of all readings; `undetermined` are sets without which the coefficients are not
-    determined; chi-square is in units of `noise`.
+    `named` are the finds of all readings. `undetermined` are the sets that cannot be held out, because the other
+    readings do not determine the coefficients. Chi-square is in units of `noise`.
     """
 
     folds: tuple[Fold, ...]
@@ -145,7 +146,7 @@ class Gap:
 
     @property
     def unconfirmed(self) -> tuple[str, ...]:
-        """The names of the effects whose gains over all sets sum to less than `LEAST_FALL`."""
+        """The names of the effects whose gains, summed over all folds, are below `LEAST_FALL`."""
         return tuple(
             name
             for name in dict.fromkeys(self.named)
@@ -189,7 +190,7 @@ class Gap:
 
 
 def part_closed(before: float, after: float) -> float | None:
-    """Return by which fraction the excess of reduced chi-square over 1 falls; None without an excess."""
+    """Return the fraction of the excess of reduced chi-square over 1 that vanishes; None if there is no excess."""
     return (before - after) / (before - FLOOR) if before > FLOOR else None
 
 
@@ -197,7 +198,7 @@ HELD_OUT: Final = message("readings held out in turn")
 
 
 def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield each set of rows to hold out, as label and mask (N,): passes, if several, and all moduli."""
+    """Yield label and mask (N,) of each set to hold out: each pass, if there are several, and all moduli."""
     oriented = linear.setting >= 0
     passes = linear.readings.pass_number[linear.rows.reading]
     numbers = sorted(set(passes[oriented].tolist()))
@@ -210,7 +211,7 @@ def folds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
 
 
 def thirds_of(linear: LinearSystem) -> Iterator[tuple[str, Mask]]:
-    """Yield every third setting or modulus of each pass, as label and mask (N,), three times.
+    """Yield label and mask (N,) of three sets to hold out: every third setting or modulus of each pass.
 
     A set begins at another setting in each pass, so that the sets differ in their angles.
     """
@@ -243,11 +244,12 @@ def measure_gap(
     search: FoldSearch = find,
     parts: Sequence[tuple[str, Mask]] = (),
 ) -> Gap:
-    """Hold out each set of rows in turn, `search` the others, and predict the rows held out.
+    """Hold out each set of rows in turn, search for effects in the others, and predict the rows held out.
 
-    `whitened`, `naming` and `noise` are of all readings; `setting_rad` is the setting error that the bench file
-    states. `parts` are labels and masks (N,), by default passes and moduli (`folds_of`), or thirds
-    (`thirds_of`) if the rest does not determine the finds or their forms.
+    `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings; `setting_rad` is
+    the setting error that the bench file states. `parts` are labels and masks (N,) of the sets. By default, these
+    are passes and moduli (`folds_of`), or thirds (`thirds_of`) if the rest does not determine the finds or their
+    forms.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
@@ -394,7 +396,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
 
 
 def near_ratios(linear: LinearSystem, noise: NoiseSize) -> tuple[float, ...]:
-    """Return the three noise ratios of the grid nearest to that of all readings, enough for held-out rows."""
+    """Return the three noise ratios of the grid nearest to that of all readings; they suffice for held-out rows."""
     ratio = noise.setting_rad / noise.reading * linear.typical_slope
     nearest = int(np.argmin(np.abs(np.array(RATIOS) - ratio)))
     first = min(max(nearest - 1, 0), len(RATIOS) - 3)

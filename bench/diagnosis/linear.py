@@ -30,8 +30,8 @@ LEAST_APART: Final = 0.05
 class Orientation:
     """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
-    It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes;
-    `contradicts` says whether this angle is significant.
+    It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes.
+    `contradicts` says whether this angle is larger than the u of the stand angles permits.
     """
 
     block_from_platform: Floats
@@ -98,7 +98,11 @@ class Rows:
 
 @dataclass(frozen=True)
 class RunSizes:
-    """The relative noise of each run, `sizes` (runs,), of mean square 1 over all rows, and its `freedom`."""
+    """The relative noise of each run, with its degrees of freedom.
+
+    `sizes` (runs,) are relative standard deviations, of mean square 1 over all rows; `freedom` (runs,) are the
+    degrees of freedom of each.
+    """
 
     sizes: Floats
     freedom: Floats
@@ -108,20 +112,20 @@ class RunSizes:
 class LinearSystem:
     """N differences of readings and prediction, as a linear function of the unknowns plus noise.
 
-    The model is response = fixed @ c + random @ b + noise, linearised at a first guess of the block. Here c are
+    The model is response = fixed @ c + random @ b + noise, linearised at the coefficients of `block`. Here c are
     the changes of the 12 coefficients, without prior, and b are q other unknowns with standard normal priors.
 
-    `response` (N,) is measured minus predicted. `fixed` (N, 12) are derivatives by the coefficients, `random`
-    (N, q) by the other unknowns, times prior u: stand angles and effects of the model (both of `problem`),
-    unknown references, and last `of_noise` columns of noise that readings share, such as slow noise in
-    `slow_channels`, or of the meters' references if `slow_reference`.
+    `response` (N,) is measured minus predicted. `fixed` (N, 12) has the derivatives by the coefficients. `random`
+    (N, q) has the changes by one prior u of each other unknown: stand angles and effects of the model (both of
+    `problem`), then unknown references. Its last `of_noise` columns are noise that readings share, such as slow
+    noise in `slow_channels`, or noise of the meters' references if `slow_reference`.
 
-    `slope` (N,) is the derivative by the head angle, else 0; `setting` (N,) is the number of the setting, else
-    -1. `orientation` is that of the block at the verification points, None if not determined; if it contradicts
-    the bench file, `model` has the measured one.
+    `slope` (N,) is the derivative by the head angle, or 0; `setting` (N,) is the number of the setting, or -1.
+    `orientation` is that of the block at the verification points, None if not determined. If it contradicts the
+    bench file, `model` has the measured orientation.
 
-    The relative noise of a row is a product of factors: `by_channel` (3,) of mean square 1, `by_run`, `by_row`
-    (N,) for heavy tails, and `by_place` (N,) for a place that scatters more; the last three may be None.
+    The relative noise of a row is a product of factors: `by_channel` (3,) of mean square 1, `by_run`, `by_row` (N,)
+    for heavy tails, and `by_place` (N,) for a place that scatters more. Each of the last three may be None.
     """
 
     readings: Readings
@@ -149,11 +153,11 @@ class LinearSystem:
         return len(self.response)
 
     def with_random(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more unknowns: `columns` (N,) or (N, k) for one prior u of each."""
+        """Return the system with more unknowns; `columns` (N,) or (N, k) are changes by one prior u of each."""
         return replace(self, random=np.column_stack([self.random, *columns]))
 
     def with_noise(self, *columns: Floats) -> LinearSystem:
-        """Return the system with more noise that readings share: `columns` (N,) or (N, k) for 1 sigma."""
+        """Return the system with more shared noise; `columns` (N,) or (N, k) are changes by 1 sigma of each."""
         system = self.with_random(*columns)
         return replace(system, of_noise=self.of_noise + system.random.shape[1] - self.random.shape[1])
 
@@ -173,7 +177,7 @@ class LinearSystem:
 
     @property
     def typical_slope(self) -> float:
-        """Root mean square of |du/dphi| over the settings, unit of the signal per rad.
+        """Root mean square of |du/dphi| over the settings, in the unit of the signal per rad.
 
         Each channel's derivative is divided by the relative noise of the channel.
         """
@@ -191,7 +195,7 @@ class LinearSystem:
 
     @property
     def relative_of_channel(self) -> Floats:
-        """The factor (N,) of `relative` that is due to the channel; for a modulus, weighted by its gradient."""
+        """The factor (N,) of `relative` due to the channel; for |a|, the channels are weighted by its gradient."""
         if np.all(self.by_channel == 1.0):
             return np.ones(len(self))
         size = self.by_channel[np.minimum(self.rows.channel, 2)].copy()
@@ -201,7 +205,10 @@ class LinearSystem:
 
     @property
     def g_per_signal(self) -> Floats:
-        """Factors (N,) from unit of the signal to g: 1 / |scale factor|, or the norm of the gradient of |a|."""
+        """Factors (N,) from the unit of the signal to g.
+
+        The factor of a signal is 1 / |scale factor|; that of a modulus is the norm of the gradient of |a|.
+        """
         size = np.empty(len(self))
         for block, mine in self.by_block():
             size[mine] = 1.0 / np.abs(np.diag(block.K))[np.minimum(self.rows.channel[mine], 2)]
@@ -210,7 +217,7 @@ class LinearSystem:
         return size
 
     def by_block(self) -> Iterator[tuple[Block, Mask]]:
-        """Yield each accelerometer block, as first guessed, with the mask (N,) of its rows."""
+        """Yield the coefficients at which each block is linearised, and the mask (N,) of the block's rows."""
         yield self.block, np.ones(len(self), dtype=bool)
 
     def _moduli(self) -> Iterator[tuple[Mask, tuple[Floats, Floats, Floats]]]:
@@ -241,10 +248,11 @@ class LinearSystem:
     ) -> Floats:
         """Return the linearised changes of the rows by an effect (k = 1) or k time courses (n, k) at one stage.
 
-        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At
-        the output of the block, a course is in g or, `in_proportion`, a fraction of the specific force; in the
-        voltmeter, it is in the unit of the signal or a fraction of it; the result is (N, k, 3), by channel. An
-        effect must act in block or voltmeter, and must not depend on the path of the head.
+        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At the
+        output of the block, a course is in g; in the voltmeter, it is in the unit of the signal. If
+        `in_proportion`, it is a fraction of the specific force or of the signal. In block and voltmeter, the result
+        is (N, k, 3), by channel. An effect must act in one of these two, and must not depend on the path of the
+        head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
@@ -288,7 +296,7 @@ class LinearSystem:
         return np.asarray(self.effect_columns(applied).sum(axis=1))
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows if an effect acts with its values, split by channel, (N, 3)."""
+        """Return the change (N, 3) of the rows that an effect with its values causes in each channel."""
         change = self._still.instead(None, applied) - self._still.readings
         return self.view.rows_of(change[:, :, None] * np.eye(3))
 
@@ -297,9 +305,9 @@ class LinearSystem:
 class View:
     """The conversion of changes of the signals of n readings to changes of the N rows of the system.
 
-    `conditions` are of all readings, as effects may need earlier ones. If not NaN, `force` (n, 3), g, replaces
-    that of the installation, and `voltage_v` (n, 3) the output of the block. `settings`, `moduli` and `inputs`
-    are indices of readings; `by_signal` (moduli, 3) is the unit gradient of |a|.
+    `conditions` are of all readings, because effects may need earlier ones. Where they are not NaN, `force` (n, 3),
+    g, replaces the specific force of the installation, and `voltage_v` (n, 3), V, the output of the block.
+    `settings`, `moduli` and `inputs` are indices of readings; `by_signal` (moduli, 3) is the unit gradient of |a|.
     """
 
     conditions: Conditions
@@ -331,10 +339,10 @@ class View:
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the linear system of readings of one block, linearised at a first guess of its coefficients.
+    """Return the linear system of readings of one block, linearised at coefficients fitted to the readings.
 
     Rows are three signals for each oriented reading, one modulus for each verification point and free position,
-    then three for each shorted or reference input. `stand_u` has the standard uncertainties of the stand
+    then three signals for each shorted or reference input. `stand_u` has the standard uncertainties of the stand
     angles, rad. Raises `CalibrationError` if the oriented readings do not determine the coefficients.
     """
     label = readings.installation
@@ -423,7 +431,7 @@ def _references(readings: Readings) -> tuple[Floats, Ints]:
 
 
 def own_column(problem: Problem, block: Block, view: View, number: int) -> Floats:
-    """Return the change of the signals (n, 3) by one prior u of the unknown `number`, an effect parameter."""
+    """Return the change (n, 3) of the signals by one prior u of the effect parameter with the index `number`."""
     step = np.zeros_like(problem.prior_u)
     step[number] = 1e-3 * problem.prior_u[number]
     ways = (problem.effects_at(problem.prior_mean + sign * step) for sign in (1, -1))

@@ -43,16 +43,17 @@ OTHER_BLOCK: Final = (1e-3, 3e-3, 10e-3)
 
 @dataclass(frozen=True)
 class JointSystem(LinearSystem):
-    """The joint linear system of several accelerometer blocks on one bench, of their systems `parts`.
+    """The linear system of several accelerometer blocks on one bench.
 
-    The rows are those of the parts, in this order. Each block has its own coefficients; unknowns of the bench
-    are common. `block` is the first guess of the first block.
+    `parts` has the linear system of each block, and the rows are those of the parts, in this order. Each block has
+    its own coefficients; the unknowns of the bench are common to all. `block` is the first block, with the
+    coefficients at which its system is linearised.
     """
 
     parts: tuple[LinearSystem, ...]
 
     def by_block(self) -> Iterator[tuple[Block, Mask]]:
-        """Yield each accelerometer block, as first guessed, with the mask (N,) of its rows."""
+        """Yield the coefficients at which each block is linearised, and the mask (N,) of the block's rows."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         of_row = self.readings.block[self.rows.reading]
         for number, part in zip(np.unique(self.readings.block), self.parts, strict=True):
@@ -64,13 +65,13 @@ class JointSystem(LinearSystem):
         return self.readings.conditions()
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change of the rows if an effect acts on all blocks, split by channel, (N, 3)."""
+        """Return the change (N, 3) of the rows by an effect in each channel, if the effect acts on all blocks."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
-        """Return the result of `LinearSystem.stage_columns` for an effect or course of all blocks alike."""
+        """Return what `LinearSystem.stage_columns` returns, for an effect or a course that acts on all blocks."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
         own = [
             of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
@@ -85,7 +86,10 @@ class JointSystem(LinearSystem):
 
 
 def make_system(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:
-    """Return the linear system of readings of one or several blocks; arguments and errors as `make_linear`."""
+    """Return the linear system of readings of one or several blocks.
+
+    The arguments and errors are those of `make_linear`.
+    """
     if readings.block is None:
         return make_linear(readings, model, stand_u)
     masks = [readings.block == number for number in np.unique(readings.block)]
@@ -135,10 +139,10 @@ def _random_of(part: LinearSystem, stand_u: Mapping[str, float]) -> tuple[Floats
 
 
 def with_blocks(readings: Readings, model: ForwardModel) -> Readings:
-    """Return readings with the number of the accelerometer block of each row as `block`; it is None for one.
+    """Return the readings with `block`, the number of each row's accelerometer block; None for a single block.
 
-    Stated numbers are kept; else the coefficients show which runs are of one block. A run that does not
-    determine them is assigned to the first block.
+    Stated numbers are kept. Without them, runs with compatible coefficients are of one block. A run that does not
+    determine its coefficients is assigned to the first block.
     """
     if readings.block is not None:
         return readings if len(np.unique(readings.block)) > 1 else replace(readings, block=None)
@@ -189,10 +193,10 @@ def _told(readings: Readings, block: Ints) -> Iterator[str]:
 def find_mistakes_in_each(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], nominal: Floats | None
 ) -> MistakeSearch:
-    """Return the mistakes in several runs, each searched by itself, and a copy without them.
+    """Return the mistakes in several runs, each searched by itself, and a copy of the readings without them.
 
-    Arguments and errors are as in `find_mistakes`; `nominal` is (3,) or (blocks, 3). The probability of a false
-    alarm is divided among the runs, and p-values are multiplied by their number.
+    The arguments and errors are those of `find_mistakes`, but `nominal` is (3,) or (blocks, 3). The probability of
+    a false alarm is divided among the runs, and p-values are multiplied by the number of runs.
     """
     sheets = None if nominal is None else np.atleast_2d(nominal)
     if not readings.run.any():
@@ -245,7 +249,7 @@ OWN_IN_EACH_RUN: Final = ("warm_up", "bias_drift", "scale_drift", "voltmeter_dri
 
 
 def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[str] = ()) -> Candidates:
-    """Return the candidates for readings of one or several runs; arguments as `make_candidates`."""
+    """Return the candidates for readings of one or several runs; the arguments are those of `make_candidates`."""
     if not linear.readings.run.any():
         return make_candidates(linear, unit_noise, absent=absent)
     return make_candidates(linear, unit_noise, _mount_sets, _add_unnamed, absent=absent)

@@ -37,10 +37,10 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family beside all other finds. `total` is ln of the odds that a
-    family is missing without it. `size` is the root of the decrease of chi-square. `odds` are those of the
-    families in its place: the readings do not exclude its `ties`, of which `same` change them alike.
-    `plainer_than` are families that include it and need more parameters.
+    `evidence` is ln of the Bayes factor of its family, with all other finds in the model. `total` is ln of the odds
+    that an effect is missing if the model lacks this find. `size` is the root of the decrease of chi-square. `odds`
+    are the probabilities of the families that could be in its place. The readings do not exclude its `ties`; those
+    in `same` have the same signature. `plainer_than` are families that include it and need more parameters.
     """
 
     variant: Variant
@@ -55,7 +55,7 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The effects found, in the order of the search; `left` is ln of the odds that another is missing."""
+    """The effects found, in the order of the search; `left` is ln of the odds that another effect is missing."""
 
     found: tuple[FoundEffect, ...]
     left: float
@@ -81,10 +81,11 @@ class Naming:
 
 @dataclass(frozen=True)
 class Scored:
-    """The scores of all families in one data set beside the known columns, which `left` has subtracted.
+    """The scores of all families in one data set, if the known columns are in the model.
 
-    `evidence` and `log_odds` map families to ln of the Bayes factor without and with the prior; `total` is ln
-    of the sum of the odds. `ratio` is the index of the most probable noise ratio.
+    `left` are the data after the known columns are subtracted. `evidence` maps families to ln of the Bayes factor,
+    `log_odds` to ln of the Bayes factor times the prior; `total` is ln of the sum of the odds. `ratio` is the index
+    of the most probable noise ratio.
     """
 
     search: Search
@@ -131,7 +132,7 @@ class Scored:
     def found(self, family: str) -> FoundEffect:
         """Return a family as an effect found, in its most probable form.
 
-        If the readings do not determine the mounting, the form has a value for each.
+        If the readings do not determine the mounting, the form has a separate value for each mounting.
         """
         variant = self._best_variant(family)
         size = math.sqrt(self.explained(variant))
@@ -140,7 +141,8 @@ class Scored:
     def in_place_of(self, one: FoundEffect) -> Iterator[tuple[Variant, float]]:
         """Yield the likeliest form of each tie of a find, with its probability.
 
-        For an effect without a name, other forms of its family follow. Those below `BY_CHANCE` are left out.
+        For a find without a name, other forms of its family follow. Forms with a probability below `BY_CHANCE` are
+        left out.
         """
         variants = self.search.whitened.candidates.variants
         odds = {found.name: found.probability for found in one.odds}
@@ -180,7 +182,10 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return amplitudes (p,), in plausible sizes, and Gram matrix (p, p) of a form beside the known columns."""
+        """Return the amplitudes (p,) of a form beside the known columns, and their Gram matrix (p, p).
+
+        The amplitudes are in plausible sizes.
+        """
         columns = list(variant.columns)
         gram = self.search.between(self.ratio, columns)
         along = self.left.along[self.ratio, columns, 0]
@@ -301,9 +306,10 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the necessary finds; the first `kept` always stay, and the weakest is tested first.
+    """Return the finds that are necessary; the first `kept` always stay.
 
-    Without a necessary find, the odds that some family is missing reach the threshold.
+    A find is necessary if, without it, the odds of a missing effect reach the threshold. The weakest find is tested
+    first.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]
@@ -350,10 +356,10 @@ def ranked_odds(log_odds: Mapping[str, float]) -> list[FamilyOdds]:
 
 
 def holding(odds: Sequence[FamilyOdds]) -> list[str]:
-    """Return the most probable families of `odds` (sorted, the largest first) among which readings do not decide.
+    """Return the most probable families, among which the readings do not decide.
 
-    It is the first alone if its probability is at least 1 - `OFTEN`; else so many that they have 1 -
-    `BY_CHANCE` together.
+    `odds` are sorted, the largest first. The first family is returned alone if its probability is at least 1 -
+    `OFTEN`. Otherwise so many families are returned that their probabilities sum to at least 1 - `BY_CHANCE`.
     """
     if odds[0].probability >= 1.0 - OFTEN:
         return [odds[0].name]

@@ -55,8 +55,8 @@ def planned_readings(
 ) -> Readings:
     """Return the readings that a plan would give on a stand without errors, in the order of measurement.
 
-    Times are expected ones, at the mains frequency `line_hz`. The temperature is `temperature_c` until the plan
-    sets another. The signals are those of `block` without effects, in `unit`. Raises `KeyError` if the model
+    Times are expected ones, at the mains frequency `line_hz`, Hz. The temperature is `temperature_c`, °C, until the
+    plan sets another. The signals are those of `block` without effects, in `unit`. Raises `KeyError` if the model
     lacks an installation of the plan.
     """
     reads: list[Read] = []
@@ -141,9 +141,9 @@ Noise then makes the wrong one likelier in 2.3 % of runs, as often as it gives a
 
 @dataclass(frozen=True)
 class Separation:
-    """The divergence D of an effect found from one of its ties, `before` and `after` a procedure.
+    """The divergence D of an effect found from one of its ties, `before` and `after` a procedure is carried out.
 
-    D is the expected value of ln of the odds of the true name against the other; higher is better.
+    D is the expected ln of the odds of the true name against the other; a larger D separates them better.
     """
 
     effect: str
@@ -153,13 +153,13 @@ class Separation:
 
     @property
     def settled(self) -> bool:
-        """Whether the readings distinguish the two after the procedure: D is at least `SEPARATED`."""
+        """Whether the readings distinguish the two effects after the procedure: D is at least `SEPARATED`."""
         return self.after >= SEPARATED
 
 
 @dataclass(frozen=True)
 class Chance:
-    """The duration of a procedure, h, and the probability (`answers`) that it resolves every tie.
+    """How long a procedure takes, in `hours`, and the probability `answers` that it resolves every tie.
 
     A tie is resolved if one of its names reaches a posterior probability of 1 - `OFTEN`.
     """
@@ -170,12 +170,12 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior of 1 - `OFTEN`.
+    """Return the probability that further readings give one name of a tie a posterior probability of 1 - `OFTEN`.
 
-    `odds` maps the name of the find, `first`, and those of its rivals to present probabilities. `gained` maps
-    rivals to the increase of their divergence D from `first` (-inf: never distinguished). ln of the odds of the
-    true name grows by a normal number of mean D and variance 2 D. The rival that is hardest to separate
-    decides.
+    `odds` maps the name of the find, `first`, and those of its rivals to their present probabilities. `gained` maps
+    rivals to the increase of their divergence D from `first` (-inf: never distinguished). The increase of ln of the
+    odds of the true name has a normal distribution of mean D and variance 2 D. Only the rival that is hardest to
+    separate counts.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -193,11 +193,11 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A procedure proposed as the next measurement, its file `source`, duration, and the reason `why`.
+    """The procedure proposed as the next measurement: its file `source`, its duration, and the reason `why`.
 
-    `settles` are ties that it resolves or reduces, `shows` hidden effects that it would show, `left_out`
-    impossible procedures with reasons. `written` is the path of a copy that begins with `why` (`write`). If
-    there are ties, `chances` has the prospects of all procedures, the best first.
+    `settles` are ties that it resolves or reduces; `shows` are hidden effects that it would show. `left_out` maps
+    procedures that this bench cannot carry out to reasons. `written` is the path of a copy that begins with `why`
+    (`write`). If there are ties, `chances` has the durations and probabilities of all procedures, the best first.
     """
 
     why: str
@@ -211,7 +211,7 @@ class Proposal:
 
     @property
     def surer(self) -> Chance | None:
-        """The prospects of the proposed procedure; None if there is no tie."""
+        """The entry of the proposed procedure in `chances`; None if there are no ties."""
         return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property
@@ -227,7 +227,8 @@ class Proposal:
     def write(self, path: Path) -> Proposal:
         """Write a copy of the procedure that begins with the reason to `path`; return the proposal with its path.
 
-        A number is added to the name of a file with other contents. Raises `OSError` if it cannot be written.
+        If the file exists with other contents, a number is added to its name. Raises `OSError` if the copy cannot
+        be written.
         """
         path.parent.mkdir(parents=True, exist_ok=True)
         lines = textwrap.wrap(f"Proposed: {self.why}", 108, break_on_hyphens=False)
@@ -248,9 +249,9 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    If there are ties, it is the shortest of those that resolve the most ties; if none resolves any, the one
-    with the largest increase of the divergence D per minute. Without ties, it is the shortest of those that
-    show the most hidden effects. `menu` (default: `MENU`) are files; a file that includes others is ignored.
+    With ties, it is the shortest of the procedures that resolve the most ties. If none resolves any, it is the one
+    that increases the divergence D most per minute. Without ties, it is the shortest of those that show the most
+    hidden effects. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
     Nothing is proposed after a mistake or an unnamed effect.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:

@@ -42,9 +42,10 @@ RATIO_SPREAD: Final = 1.0
 
 @dataclass(frozen=True)
 class Span:
-    """A subspace in n of the rows that a fit absorbs: `rows` indices (n,), orthonormal `basis` (n, k).
+    """A subspace that a fit absorbs, in n of the rows: `rows` are their indices (n,).
 
-    `kept` (k,) is the fraction that remains because of a prior: 0 for coefficients.
+    `basis` (n, k) has orthonormal directions. `kept` (k,) is the fraction of each direction that a prior leaves in
+    the residuals; it is 0 for coefficients, which have no prior.
     """
 
     rows: slice | Ints
@@ -61,10 +62,10 @@ class Span:
 class Whitener:
     """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    `blocks` has a pair for each size n of sets of correlated rows: the indices (b n,) of the rows of b sets,
-    and the matrices (b, n, n) that make their noise independent, whatever the setting error. `root` (N,) are
-    the factors that then make the variances equal. `fitted` are orthogonal subspaces that are removed, one for
-    each accelerometer block.
+    Rows with correlated noise form sets. For each number n of rows in a set, `blocks` has the indices (b n,) of the
+    rows of all b such sets, and the matrices (b, n, n) that make their noise independent, whatever the setting
+    error. `root` (N,) are the factors that then make the variances equal. `fitted` are orthogonal subspaces that
+    are removed, one for each accelerometer block.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -106,14 +107,17 @@ class Whitener:
         return diagonal
 
     def apart(self, columns: Floats) -> Floats:
-        """Return the columns (N, …) as rows with independent noise, of variance 1 / `root`**2."""
+        """Return the columns (N, …) as rows with independent noise, whose variances are 1 / `root`**2."""
         turned = np.empty_like(columns, dtype=np.float64)
         for rows, turn in self.blocks:
             turned[rows] = _times(turn, columns[rows])
         return turned
 
     def taken(self, turned: Floats) -> Iterator[Floats]:
-        """Yield what each fitted subspace takes (k, P) from columns made independent (`apart`)."""
+        """Yield, for each fitted subspace, the part (k, P) of the columns that it removes.
+
+        `turned` are columns whose noise is independent (`apart`).
+        """
         for span in self.fitted:
             along = (span.basis.T * self.root[span.rows]) @ turned[span.rows]
             yield along * np.sqrt(1.0 - span.kept**2)[:, None]
@@ -129,13 +133,13 @@ def _times(matrices: Floats, columns: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseGrid:
-    """A grid of noise ratios, each with the map that whitens the rows and projects the coefficients out.
+    """A grid of noise ratios; for each ratio, a map whitens the rows and projects out the coefficients.
 
-    Each map in `white` takes rows divided by `sigma`, a first estimate of the noise; `freedom` is N minus the
-    number of coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood without data;
-    `log_prior` (ratios,) is ln of the prior probabilities. `setting_rad_per_noise` (ratios,) is the setting
-    error, rad, for a noise of one unit of the signal. If `known`, the noise is `sigma`; else its size is
-    unknown.
+    Each map in `white` takes rows divided by `sigma`, a first estimate of the noise. `freedom` is N minus the
+    number of coefficients. `log_det` (ratios,) is the part of ln of the restricted likelihood that does not depend
+    on the data; `log_prior` (ratios,) is ln of the prior probabilities. `setting_rad_per_noise` (ratios,) is the
+    setting error divided by the noise of a reading, rad per unit of the signal. If `known`, the noise is `sigma`;
+    otherwise its standard deviation is unknown.
     """
 
     white: tuple[Whitener, ...]
@@ -149,7 +153,7 @@ class NoiseGrid:
     def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
         """Return ln of the likelihood, up to a constant, from the sums of squares of whitened residuals, `square`.
 
-        These are in units of `sigma` squared. Unless the noise is known, its size is integrated out. `out` is
+        These are in units of `sigma` squared. Unless the noise is known, its variance is integrated out. `out` is
         an array for the result.
         """
         if self.known:
@@ -176,9 +180,9 @@ def make_noise_grid(
 ) -> NoiseGrid:
     """Return the whitening maps of a linear system for a grid of noise ratios.
 
-    `sigma` is a first estimate of the noise, unit of the signal, by which prior u of the unknowns are divided.
-    The prior of the ratios follows from `setting_rad`, the setting error of the bench file (0: unknown). Fewer
-    `ratios` save time.
+    `sigma` is a first estimate of the noise of a reading, unit of the signal; the prior u of the unknowns are
+    divided by it. The prior of the ratios follows from `setting_rad`, the setting error of the bench file (0:
+    unknown). Fewer `ratios` save time.
     """
     oriented = linear.setting >= 0
     scaled2 = (linear.slope / linear.relative)[oriented] ** 2
@@ -200,7 +204,7 @@ def make_noise_grid(
 
 
 def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whitener:
-    """Return the whitening map for a known noise of a reading, `sigma`, and a known setting error."""
+    """Return the whitening map for a known noise of a reading, `sigma`, and a known `setting_rad`."""
     return next(_whites(linear, [setting_rad / sigma], sigma))[0]
 
 
@@ -317,9 +321,9 @@ EVERY: Final = slice(None)
 class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
-    `rows` (N, P) are independent for all ratios, of inverse variance `weight` (ratios, N); products of `taken`
-    (ratios, k, P) along the fitted directions are subtracted. With two sources of variance, one diagonalisation
-    serves all their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
+    The rows of `rows` (N, P) are independent at all ratios; `weight` (ratios, N) is their inverse variance. `taken`
+    (ratios, k, P) are the parts along the fitted directions, whose products are subtracted. With two sources of
+    variance, one diagonalisation serves all their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
 
     rows: Floats
@@ -327,12 +331,12 @@ class ColumnProducts:
     taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the scalar products of k `columns` (indices) with all, (ratios, k, P), `at` some ratios."""
+        """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P, for the ratios `at`."""
         whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
         return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
-        """Return the Gram matrices (ratios, …, p, p) of sets of columns (…, p), `at` some ratios."""
+        """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
         if columns.shape[-1] == 1:
             return np.asarray(self.square[at][:, columns[..., 0], None, None])
         chosen = np.moveaxis(self.rows[:, columns], 0, -2)
@@ -363,11 +367,11 @@ class Repeats:
 
 
 def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
-    """Return the noise of a reading that the scatter of repeated settings shows, whatever the model lacks.
+    """Return the noise of a reading from the scatter of repeated settings, whatever effects the model lacks.
 
-    The fit has a free value for each mounting and angle, a drift for each mounting, and for each pass a bias
-    and a wave once per turn, so that changes between passes do not count. Noise and setting error maximise the
-    restricted likelihood. With too few repeats, the result is the scatter about the model. It is at least the
+    The fit has a free value for each mounting and angle, and a drift for each mounting. For each pass it has a bias
+    and a wave once per turn, so that changes between passes do not count as noise. Noise and setting error maximise
+    the restricted likelihood. With too few repeats, the result is the scatter about the model. It is at least the
     rounding error of `resolution`, unit of the signal.
     """
     oriented = linear.setting >= 0
@@ -418,7 +422,7 @@ def _about_model(linear: LinearSystem) -> float:
 
 
 def cells_of(linear: LinearSystem) -> Ints:
-    """Return a number (n,) for each setting, equal for the same mounting and angle, rounded to `MARK_DEG`."""
+    """Return a number (n,) for each setting, the same for one mounting at one angle, rounded to `MARK_DEG`."""
     mount, angle = _mounts_and_angles(linear)
     cells = np.column_stack([mount, np.round(angle / MARK_DEG)])
     return np.unique(cells, axis=0, return_inverse=True)[1].ravel()
@@ -465,12 +469,12 @@ def is_coarse(digit: float, sigma: float) -> bool:
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Return whether repeats share a rounding error; the noise is then fixed, as residuals do not show it."""
+    """Return whether repeats share a rounding error, so that residuals do not show the noise; it is then fixed."""
     return repeated(digit, sigma) > SAME_SIZE * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the noise of the rounding error that repeats share, unless negligible.
+    """Return the system with the rounding error that repeats share as noise, unless it is negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """
@@ -488,7 +492,7 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the 1 sigma of the rounding error that repeats share, for the noise `sigma` with rounding."""
+    """Return the 1 sigma of the rounding error that repeats share; `sigma` is the noise with rounding."""
     if not digit > 0.0:
         return 0.0
     return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

@@ -46,9 +46,10 @@ SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
 
 @dataclass(frozen=True)
 class NoiseHypothesis:
-    """A system with another noise `what` (see `LOG_PRIOR`), ln of its prior odds, and words for people.
+    """A hypothesis on the noise: a `linear` system with this noise, the odds, and `words` for people.
 
-    The odds are against ordinary noise, minus the cost of the parameters fitted.
+    `what` is a key of `LOG_PRIOR`. `log_odds` is ln of the prior odds against ordinary noise, minus the cost of the
+    parameters fitted to the readings.
     """
 
     what: str
@@ -58,7 +59,10 @@ class NoiseHypothesis:
 
 
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield hypotheses that `linear` lacks in their likeliest sizes, given columns of `effects` (N, m)."""
+    """Yield noise hypotheses that `linear` does not yet contain, each with its likeliest parameters.
+
+    The columns `effects` (N, m) are in the model; `noise` is the noise about it.
+    """
     left, free = _fit(linear, effects, noise)
     yield from _by_channel(linear, left, free)
     if linear.by_run is None and linear.readings.run.any():
@@ -76,7 +80,7 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return the part of ln of the evidence, due to the unit `grid.sigma`, that makes grids comparable."""
+    """Return the term of ln of the evidence that makes grids of different unit `grid.sigma` comparable."""
     return -grid.freedom * math.log(grid.sigma)
 
 
@@ -90,9 +94,9 @@ def _fit(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Float
 
 
 def residuals(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Floats:
-    """Return residuals (N,) beside `effects` (N, m), unit of the signal, over the relative noise of each row.
+    """Return residuals (N,), unit of the signal, divided by the relative noise of each row.
 
-    The setting error is removed.
+    They are of the fit with the columns `effects` (N, m); the setting error is removed.
     """
     left = _fit(linear, effects, noise)[0]
     return noise.reading * whiten_rows(linear, noise, left[:, None])[:, 0]
@@ -117,8 +121,9 @@ def _by_channel(linear: LinearSystem, residual: Floats, free: Floats) -> Iterato
 def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, floor: float) -> Floats:
     """Return the relative noise (3,) of the channels, of mean square 1, from residuals `left` (n, 3).
 
-    `freedom` (n,) per residual is 0 to 1; `slope` (n, 3) is the direction of a setting error; `cells` (n,)
-    numbers settings of one slope; `floor` is the least noise, unit of the signal.
+    `freedom` (n,) are the degrees of freedom of one residual, 0 to 1. `slope` (n, 3) is the direction of a setting
+    error; `cells` (n,) numbers groups of settings with the same slope. `floor` is the least noise, unit of the
+    signal.
     """
     count = int(cells.max()) + 1
     free = np.bincount(cells, freedom, count)
@@ -174,7 +179,7 @@ def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
 
 @dataclass(frozen=True)
 class LocalScatter:
-    """A place where readings scatter more than elsewhere: a channel in an installation or a pass of it.
+    """A place where readings scatter more than elsewhere: a channel, in an installation or in one pass.
 
     `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel. The
     p-value `p` is corrected for the number of places.
@@ -193,7 +198,7 @@ class LocalScatter:
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place of the least p-value where the residuals `left` (N,) scatter more than elsewhere."""
+    """Return the place where the residuals `left` (N,) scatter most significantly; None if no place does."""
     return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 
 
@@ -271,7 +276,10 @@ def _log_odds_of_weights(weight: Floats, of_mean: Floats, square: Floats) -> flo
 
 
 def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float:
-    """Return ln of the evidence with `effects` (N, m), the noise integrated out over the grid `like`."""
+    """Return ln of the evidence with the columns `effects` (N, m) in the model.
+
+    The noise is integrated out over the ratios and the prior of the grid `like`.
+    """
     grid = make_noise_grid(linear.with_random(effects * KNOWN_SIZE), like.sigma, 0.0)
     square = np.array([np.sum((white @ (linear.response / like.sigma)) ** 2) for white in grid.white])
     of_ratio = like.log_prior + grid.log_det + grid.log_likelihood(square)
@@ -283,11 +291,11 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 
 @dataclass(frozen=True)
 class SlowNoise:
-    """Slow noise (1/f) in some `channels`, independent in each, of one `size`.
+    """Slow noise (1/f) in some `channels`, independent in each, of equal standard deviation.
 
-    `size` is its root mean square, unit of the signal; `columns` (N, k) are changes by one standard deviation
-    of each component. `evidence` is ln of the Bayes factor averaged over sizes; `cost`, ln of the mean over the
-    largest likelihood.
+    `size` is its root mean square, unit of the signal; `columns` (N, k) are the changes by one standard deviation
+    of each component. `evidence` is ln of the Bayes factor, averaged over sizes. `cost` is ln of the ratio of the
+    mean to the largest likelihood.
     """
 
     channels: tuple[int, ...]
@@ -318,9 +326,9 @@ def _slow(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[N
 
 
 def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple[SlowNoise, ...]:
-    """Return slow noise, common to all channels or by channel, that is more probable than none, if any.
+    """Return slow noise that is more probable than none, common to all channels or by channel.
 
-    `white` also removes the effects of the model.
+    The result is empty if there is none. `white` also removes the effects of the model.
     """
     waves = [_waves(linear, channel) for channel in range(3)]
     all_alike = _likeliest(linear, white, noise.reading, (0, 1, 2), np.hstack(waves))
@@ -413,7 +421,7 @@ def _waves(linear: LinearSystem, channel: int) -> Floats:
 
 @dataclass(frozen=True)
 class NoiseKind:
-    """A departure of the noise from normal noise of one size.
+    """A departure of the noise from normal noise of one standard deviation.
 
     `what` is "channels", "runs", "place", "tails", "slow", "reference" or "resolution"; `words` is a sentence.
     """
@@ -430,7 +438,7 @@ class NoiseKind:
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]
 ) -> Iterator[NoiseKind]:
-    """Yield departures of the noise from normal noise of one size.
+    """Yield departures of the noise from normal noise of one standard deviation.
 
     `digit` is the step of the last digit of the signals; `chosen` maps accepted noise hypotheses to words.
     """
@@ -475,10 +483,11 @@ BENCH_FILE: Final = message("the bench file")
 
 @dataclass(frozen=True)
 class NoiseFinding:
-    """Noise of a "reading" or a "setting" (`what`) that is significantly larger than `source` states.
+    """Noise that is significantly larger than the bench file or the samples (`source`) state.
 
-    `found` and `stated` are in `unit`, `factor` is their ratio, `p` its p-value in any run; `series` are those
-    of the run (empty: all).
+    `what` is "reading" or "setting". `found` and `stated` are standard deviations in `unit`, and `factor` is their
+    ratio. The p-value `p` is corrected for the number of runs. `series` are those of the run with this noise
+    (empty: all).
     """
 
     what: str
@@ -513,8 +522,8 @@ def noise_findings(
 ) -> tuple[NoiseFinding, ...]:
     """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
-    `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file; `typical_slope`, the
-    unit of the signal per rad; `digit` is the last digit. With `by_run`, each run has its own noise.
+    `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file. `typical_slope` is in the
+    unit of the signal per rad; `digit` is the step of the last digit. With `by_run`, each run has its own noise.
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     setting = stand_u.get("setting_error", 0.0)

@@ -87,13 +87,13 @@ def diagnose(
     cache: ThresholdCache | None = None,
     there: KnownBench = NOTHING_KNOWN,
 ) -> Diagnosis:
-    """Return the diagnosis of a table of readings, with mistakes corrected in a copy, against a model.
+    """Return the diagnosis of a table of readings against a model, after mistakes are corrected in a copy.
 
-    `stand_u` has the standard uncertainties of the angles (`STAND_ANGLES`) and the "setting_error", rad, and of
-    the "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3), are those of the data sheet with
-    signs, unit of the signal per g; without them, channels exchanged or reversed in the whole run cannot be
-    found. Effects that the bench, `there`, excludes are not searched. Raises `CalibrationError` if the readings
-    do not determine the coefficients, `MistakesLeaveTooLittle` if only the corrected copy does not.
+    `stand_u` has the standard uncertainties of the angles (`STAND_ANGLES`) and the "setting_error", rad, and of the
+    "voltmeter_error", V. `nominal_scale_factors` (3,), or (blocks, 3), are those of the data sheet with signs, unit
+    of the signal per g. Without them, channels exchanged or reversed in the whole run cannot be found. Effects that
+    the bench, `there`, excludes are not searched. Raises `CalibrationError` if the readings do not determine the
+    coefficients, `MistakesLeaveTooLittle` if only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
     digit = digit_of(readings)
@@ -391,8 +391,8 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 class Rival:
     """A family that may be present in place of an effect found.
 
-    `evidence` is ln of its Bayes factor; `tied` says whether it is a tie. `shift` (12 × blocks,) are the
-    changes of the coefficients, in units of their u, with this family in the model instead.
+    `evidence` is ln of its Bayes factor; `tied` says whether it is a tie. `shift` (12 × blocks,) is the change of
+    each coefficient, in units of its u, if this family replaces the effect in the model.
     """
 
     family: str
@@ -402,13 +402,13 @@ class Rival:
 
     @property
     def largest_shift(self) -> tuple[str, float]:
-        """The coefficient that changes most with this family instead, by name, and its change in units of its u."""
+        """The name of the coefficient that this family changes most, and the change in units of its u."""
         worst = int(np.argmax(np.abs(self.shift)))
         return COEFFICIENTS[worst % FIXED], float(self.shift[worst])
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each find, the `LISTED` likeliest families in its place and all its ties, the best first."""
+    """Return, for each find, the `LISTED` families most likely in its place and all its ties, the best first."""
     naming, candidates = diagnosis.naming, diagnosis.candidates
     found = _coefficients(diagnosis, naming.columns)
     u = np.sqrt(np.diag(diagnosis.fitted.covariance))[: diagnosis.linear.fixed.shape[1]]
@@ -430,9 +430,10 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 
 
 def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
-    """Return the shifts (k, 12 per block) of the coefficients by ties, times the root of each tie's probability.
+    """Return the shifts (k, 12 per block) of the coefficients if a tie replaces a find.
 
-    Only finds that are in the model count: those with a name and, if no search of forms replaced them, forms.
+    Each is multiplied by the root of the tie's probability. Finds without a name count only if their terms can join
+    the model.
     """
     form, naming = diagnosis.form, diagnosis.naming
     same = all(one.variant.named or one.variant.term for one in naming.found)
@@ -487,7 +488,7 @@ class FullDiagnosis:
 
 @dataclass(frozen=True)
 class MistakesAlone:
-    """A diagnosis that ended with mistakes, as the corrected readings do not determine the coefficients.
+    """A diagnosis that ends with the mistakes, because the corrected readings do not determine the coefficients.
 
     `corrected` are the readings with the mistakes corrected; `reason` says what is missing.
     """
@@ -515,9 +516,9 @@ def diagnose_fully(
     """Diagnose the readings of a bench, simulate them, rank the rivals, and propose the next measurement.
 
     `g_m_s2` is local gravity, m/s². `source` names the readings; `simulated` says whether instruments were
-    simulated. Mistakes in `known` are already corrected. Unless the readings are `stated` to be from this
-    bench, it excludes no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file. Raises as
-    `diagnose`.
+    simulated. Mistakes in `known` are already corrected. If `stated` is False, the readings may be from another
+    bench, and this bench excludes no effects. `nominal` (blocks, 3) replaces the scale factors of the bench file.
+    Raises the errors of `diagnose`.
     """
     stand_u = {name: spread.u for name, spread in bench.stand_distributions().items()}
     sheet = np.array(bench.unit_under_test.scale_factors.values) if nominal is None else nominal

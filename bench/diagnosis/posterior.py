@@ -1,6 +1,6 @@
-"""Joint estimate of the coefficients and the effects found, and parts of these that readings leave open.
+"""Joint estimate of coefficients and finds, and parts of the finds that the readings do not determine.
 
-The open parts are other shapes, other channels and starting states. The u of the coefficients includes them, and
+These open parts are other shapes, other channels and starting states. The u of the coefficients includes them, and
 a model file states them.
 """
 
@@ -45,7 +45,7 @@ class NoiseSize:
 class Posterior:
     """Joint estimates of all unknowns, `mean`, with their `covariance`.
 
-    In this order: changes of the 12 coefficients of each block; amplitudes of `LinearSystem.random`, in prior
+    The order is: changes of the 12 coefficients of each block; amplitudes of `LinearSystem.random`, in prior
     standard deviations; amplitudes of the `effects` columns found, in plausible sizes.
     """
 
@@ -65,9 +65,9 @@ class Posterior:
         return self.covariance[first:, first:]
 
     def significance(self, of: slice) -> tuple[float, float]:
-        """Return the size rho of the amplitudes b in a slice in units of u, and its p-value (chi-square).
+        """Return rho of the amplitudes in a slice, and its p-value (chi-square distribution).
 
-        With their covariance C, rho^2 = b^T C^-1 b.
+        With the amplitudes b and their covariance C, rho^2 = b^T C^-1 b.
         """
         amplitudes, covariance = self.amplitudes[of], self.amplitude_covariance[of, of]
         square = float(amplitudes @ _inverse(covariance) @ amplitudes)
@@ -104,10 +104,10 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 
 
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
-    """Return the estimates with all effects found, as a mixture over their prior sizes.
+    """Return the estimates with all effects found, averaged over the prior standard deviations of the amplitudes.
 
-    Where readings do not determine an effect, as between mountings, u follows from the prior, of which each
-    size (`evidence.SIZES`) has its posterior probability.
+    Each of these (`evidence.SIZES`) has its posterior probability. The prior thus determines u where readings do
+    not determine an effect, as between mountings.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -198,7 +198,10 @@ def _inverse(normal: Floats) -> Floats:
 
 
 def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
-    """Return `columns` (N, m) with independent noise of variance 1, of all rows or a mask of whole settings."""
+    """Return `columns` (N, m) with independent noise of variance 1, for all rows or those in the mask `rows`.
+
+    The mask must contain whole settings.
+    """
     chosen = slice(None) if rows is None else rows
     relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
     white = columns / (noise.reading * relative)
@@ -215,7 +218,7 @@ ADDED: Final = ("warm_up", "bias_drift", "thermal_bias", "turn_on_shift")
 
 
 def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Iterator[str]:
-    """Yield a sentence for each effect whose sizes in the three channels, in volts, agree within u."""
+    """Yield a sentence for each effect whose values in the three channels, as voltages, agree within u."""
     # one prior size of each channel's column is the same part of its K_ii
     scale = np.diag(linear.block.K)
     apart = np.diff(np.eye(3), axis=0)
@@ -259,7 +262,7 @@ FAR_BETTER: Final = 0.25
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
-    """Return the sums and differences of two sizes of `variant` that are far better known than either.
+    """Return the sums and differences of two values of `variant` that are far better known than either value.
 
     `value` (p,) and `covariance` (p, p) are in plausible sizes. Example: third mounting angles of two
     installations, whose difference is a rotation of the axes.
@@ -299,8 +302,8 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect` replaces
-    the one of the catalogue.
+    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect`, if given,
+    replaces the effect of the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
@@ -333,9 +336,9 @@ Shape = tuple[tuple[str, float], ...]
 
 
 def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
-    """Yield other shapes that the effect, or a part of it, may have in truth.
+    """Yield the shape `found` with another value of one parameter, for each parameter that has a unit.
 
-    One parameter with a unit at a time has values of its grid, between them and just beyond; the others stay.
+    The values are those of the parameter's grid, values between these, and values just beyond its ends.
     """
     for place, (name, value) in enumerate(found):
         parameter = next(p for p in effect.parameters if p.name == name)
@@ -353,9 +356,10 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return, for each find, parts of other shapes or in other channels that may act besides it.
+    """Return, for each find, effects of other shapes or in other channels that may be a part of it.
 
-    They are zero with a prior u, SI, from the sizes in `sized`; `channels` has probabilities (`channels_of`).
+    Their values are zero. Their prior u, SI, follow from the amplitudes in `sized`; `channels` has the result of
+    `channels_of`.
     """
     return tuple(
         tuple(_of(candidates, found.variant, sized.amplitudes[mine], (channels or {}).get(number)))
@@ -364,7 +368,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return the probabilities (3,) that the finds (keys: their indices) act in x, y and z, over all forms."""
+    """Return, for the index of each find, the probabilities (3,) that it acts in x, y and z, over all its forms."""
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:
@@ -426,7 +430,10 @@ def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -
 
 
 class OpenSize(NamedTuple):
-    """A size limited only by its prior, in a channel (None: all); `column` (N,) is the change by its prior u."""
+    """An amplitude of which only the prior is known, in a channel (None: common to all).
+
+    `column` (N,) is the change of the rows by one prior u.
+    """
 
     applied: AppliedEffect
     parameter: str
@@ -435,7 +442,7 @@ class OpenSize(NamedTuple):
 
 
 def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[OpenSize]:
-    """Yield every size of the effects `others` that has a prior u and changes any of these rows."""
+    """Yield every amplitude of the effects `others` that has a prior u and changes any of these rows."""
     for applied in others:
         shape = tuple(
             (p.name, float(applied.values[p.name])) for p in applied.effect.parameters if p.is_shape
@@ -459,7 +466,7 @@ def left_open(
 ) -> tuple[AppliedEffect, ...]:
     """Return the parts (`InPart`) of the finds that the readings leave uncertain, for a model file.
 
-    `others` are the possible parts of each find (`beside`); `fitted` has them after the random columns of
+    `others` are the possible parts of each find (`beside`). In `fitted`, they follow the random columns of
     `linear`.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
@@ -500,8 +507,8 @@ def starting_states(
 ) -> tuple[AppliedEffect, ...]:
     """Return the starting state of each mounting and channel as a part (`InPart`) of the effect found.
 
-    Prior u follows from the size in `sized`; the value is zero unless states repeat. Parts `begun` precede
-    these.
+    The prior u follows from the amplitude in `sized`. The value is zero unless the starting states repeat. The
+    parts are numbered after the parts `begun`.
     """
     states: list[AppliedEffect] = []
     for found, mine in naming.sizes():

@@ -45,7 +45,7 @@ METER_GAIN: Final = "voltmeter_gain"
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty `u`; `u_readings` is the part from the noise of the readings."""
+    """A value with its standard uncertainty `u`; `u_readings` is the part of u from the noise of the readings."""
 
     value: float
     u: float
@@ -75,8 +75,9 @@ class ChannelCalibration:
 class RecordCalibration:
     """The calibration of all c channels of a record of n means; `level_v` is the mean of the reference, V.
 
-    `known_v` (n, c), V, of given effects are already subtracted; `not_observable` says what the record does not
-    determine. `repeats` compares calibrations of parts of the record, None if it is too short.
+    `known_v` (n, c) are the voltages of the given effects, V, which are already subtracted. `not_observable` says
+    what the record does not determine. `repeats` compares calibrations of parts of the record, None if it is too
+    short.
     """
 
     record: Record
@@ -88,7 +89,7 @@ class RecordCalibration:
     repeats: Repeats | None = None
 
     def residual_of(self, readings: Readings) -> Floats:
-        """Return signals minus gain × reference, offset and effects, V, (m, c); drift is not subtracted."""
+        """Return the signals minus gain × reference, offset and effects, V, (m, c); the drift is not subtracted."""
         at, record = readings.time_s, self.record
         reference_v = numbers(readings.extra[REFERENCE_V])
         left = []
@@ -105,12 +106,12 @@ def calibrate_record(
 ) -> RecordCalibration:
     """Calibrate meters from readings at a known input, after known effects are subtracted.
 
-    Effects with a stated u keep their values; others were found in these readings and are estimated again. u
-    includes the uncertainty of shapes and of states in which a lag begins, the slow noise, and the scatter of
-    the reference (`reference_sd_v`). It includes those of the `hidden` sources that depend on a temperature
-    (`unread_sources`), if the record lacks it, and errors of the gain (`meter_gain_sources`), if the reference
-    just changes linearly with time. Raises `CalibrationError` if the readings cannot be evaluated, or such a
-    reference has no source for a gain.
+    Effects with a stated u keep their values; the others were found in these readings and are estimated again. u
+    includes the uncertainty of shapes and of the state in which a lag begins, the slow noise, and the scatter of
+    the reference (`reference_sd_v`). If the record lacks a temperature, u includes the `hidden` sources that depend
+    on it (`unread_sources`). If the reference only changes linearly with time, u includes errors of the gain
+    (`meter_gain_sources`). Raises `CalibrationError` if the readings cannot be evaluated, or if such a reference
+    has no source for a gain.
     """
     record = make_record(readings)
     hidden = _acting(record, hidden)
@@ -266,8 +267,8 @@ def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floa
     """Return least-squares estimates (p, d), their covariance (p, p) for the first target, and the noise.
 
     `design` (n, p) begins with the trend; `targets` are (n, d). Estimates are averages over the trial noises,
-    weighted by the likelihood of the first target; the covariance includes their variation. The noise is the
-    likeliest one.
+    weighted by the likelihood of the first target. The covariance includes the variation of the estimates between
+    these noises. The noise is the likeliest one.
     """
     count = design.shape[1]
     beside = design[:, trials.trend.shape[1] :]

@@ -38,7 +38,10 @@ GAIN_IN_DRIFT: Final = (
 
 @dataclass(frozen=True)
 class Rival:
-    """A kind of response, with RMS (V) and chi-square of measured minus predicted in held-out excursions."""
+    """A kind of response `what`, judged on held-out excursions.
+
+    `held_out_rms_v` (V) and `chi2` are the root mean square and the chi-square of measured minus predicted.
+    """
 
     what: str
     held_out_rms_v: float
@@ -49,10 +52,10 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap`, and `rivals`
-    (kinds of response), are of excursions held out in turn. `far` has a sentence for each mean far from the
-    model. `noises` has the noise of the mean of all channels, then of each difference between channels
-    (`RecordWork.helmert`); `hidden` are effects that the record cannot show.
+    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap` is measured on
+    excursions held out in turn; `rivals` compares kinds of response there. `far` has a sentence for each mean far
+    from the model. `noises` has the noise of each component: the mean of all channels, then differences between
+    channels (`RecordWork.helmert`). `hidden` are effects that the record cannot show.
     """
 
     source: str
@@ -155,7 +158,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well the rest predicts each excursion with `finds`, and the comparison of responses."""
+    """Return how well the other means predict each excursion with `finds`, and the comparison of responses."""
     noises = work.noises([one.variant for one in finds])
     folds: list[Fold] = []
     for number, course in enumerate(one.variant for one in finds):

@@ -82,7 +82,7 @@ class Record:
 
     @property
     def ramp(self) -> bool:
-        """Whether the reference just changes linearly in time: an error of the gain looks like a drift."""
+        """Whether the reference only changes linearly in time, so that an error of the gain looks like a drift."""
         return levels_apart(self.reference_v) and not self.several_levels
 
     @property
@@ -99,7 +99,10 @@ class Record:
 
     @property
     def zero_and_drift(self) -> Floats:
-        """The matrix (2, p) from estimates of `trend` to zero (V), at 0 V or the only level, and drift (V/h)."""
+        """The matrix (2, p) that converts estimates of `trend` to zero (V) and drift (V/h).
+
+        With several levels, the zero is that at 0 V; otherwise it is that at the only level.
+        """
         turn = np.diag([1.0, 2.0 / float(self.time_h[-1])])
         level_v = [[-float(self.reference_v.mean())], [0.0]] if self.several_levels else np.zeros((2, 0))
         return np.hstack([turn, level_v])
@@ -125,7 +128,7 @@ class Record:
 
 
 def make_record(readings: Readings) -> Record:
-    """Return readings at a known input as means over equal times, from the last early jump on.
+    """Return readings at a known input as means over equal intervals of time, after the last early jump.
 
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
@@ -190,7 +193,7 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
 
 
 def without_noise(record: Record) -> Iterator[str]:
-    """Yield a sentence for each channel without noise, or else for each pair with the same noise."""
+    """Yield a sentence for each channel without noise; if there is none, for each pair with the same noise."""
     left, names = record.beside_trend, [f"u{CHANNELS[channel]}_v" for channel in record.channels]
     least = NEGLIGIBLE * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
@@ -209,7 +212,7 @@ def groups_of(time_s: Floats) -> list[Ints]:
 
 
 def levels_apart(reference_v: Floats) -> bool:
-    """Return whether the reference (n,) changes by more than `LEVELS` of its largest value, above `ZERO_V`."""
+    """Return whether the reference (n,) reaches `ZERO_V` and changes by more than `LEVELS` of its maximum."""
     largest = np.abs(reference_v).max()
     return bool(largest >= ZERO_V and np.ptp(reference_v) > LEVELS * largest)
 
@@ -329,7 +332,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
     """Return the shapes that an effect of a model may have in a record.
 
-    It is only the given one for a supply, a formula, and several shape parameters that are not 0.
+    It is only the given shape for a supply, for a formula, and if several shape parameters are not 0.
     """
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
@@ -347,7 +350,7 @@ def shape_of(effect: Effect, values: Mapping[str, Any]) -> Shape:
 
 
 def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
-    """Return the column (n,), V, of the plausible size of an effect in one shape, over relative noise."""
+    """Return the change (n,) of a signal, V, by one plausible size of an effect, divided by the relative noise."""
     size = next(p for p in effect.parameters if p.is_size)
     plausible = np.full(3 if size.per_channel else (), size.plausible)
     values = {size.name: plausible, **{name: np.asarray(value) for name, value in shape}}
@@ -355,7 +358,7 @@ def column_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
-    """Return the column (n,) of the starting state of an effect with a lag (`fading_record`), else zeros."""
+    """Return the column (n,) of the starting state of an effect with a lag (`fading_record`), otherwise zeros."""
     lag_s = dict(shape).get("lag", 0.0)
     if not lag_s or FOLLOWS.get(effect.name) != "meter":
         return np.zeros(len(record))
@@ -363,7 +366,7 @@ def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def fading_record(record: Record, lag_s: float) -> Record:
-    """Return the record with the temperature that a lag leaves of a deviation of 1 sigma at the start."""
+    """Return the record with a temperature that begins 1 sigma off and decays with the time constant `lag_s`."""
     left = np.exp(-record.time_h * HOUR / lag_s) if lag_s else np.zeros(len(record))
     meter_c = METER_REFERENCE_C + np.std(record.conditions.meter_warmth_k) * left
     return replace(record, conditions=replace(record.conditions, meter_c=meter_c))
@@ -372,7 +375,7 @@ def fading_record(record: Record, lag_s: float) -> Record:
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
     """Return effects in shapes as candidates with the columns of `column_of`.
 
-    An effect with a size for each channel has the same column for each. A form that the trend can describe is
+    An effect with an amplitude for each channel has the same column for each. A form that the trend can describe is
     left out.
     """
     columns, scale, variants = [np.zeros((len(record), 0))], [], []

@@ -25,11 +25,11 @@ They are a factor of about three apart; longer ones resemble flicker noise.
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
-    """Yield a covariance (n, n), of mean variance 1, of each kind of slow noise at `time_h` (n,), h.
+    """Yield the covariance (n, n), of mean variance 1, of each kind of slow noise at `time_h` (n,), h.
 
-    The kinds are a random walk, flicker noise, and exponential correlations of several times. The covariance of
-    flicker noise is the integral of exponential ones over ln of their time, from mean step to length of the
-    record.
+    The kinds are a random walk, flicker noise, and noise of exponential correlation with several time constants.
+    The covariance of flicker noise is the integral of exponential ones over ln of the time constant, from the mean
+    step to the length of the record.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)
@@ -85,8 +85,8 @@ class Noise:
 class NoiseTrials:
     """The trial noises of a record: kinds of slow noise, each with several ratios to the white noise.
 
-    `slow` has eigenvalues (n,) and eigenvectors (n, n) of each kind; `trend` (n, 2 or 3) is that of the record
-    over relative noise.
+    `slow` has the eigenvalues (n,) and eigenvectors (n, n) of each kind. `trend` (n, 2 or 3) is that of the record,
+    divided by the relative noise.
     """
 
     slow: tuple[tuple[Floats, Floats], ...]
@@ -113,8 +113,8 @@ class NoiseTrials:
     ) -> Products:
         """Return the scalar products of `columns` (n, h) and `targets` (n, d) for each trial noise.
 
-        The trend and `known` (n, m) are projected out; `starts` (n, h) has the states of the columns
-        (`start_of`).
+        The trend and the columns `known` (n, m) are projected out; `starts` (n, h) are the starting states of the
+        columns (`start_of`).
         """
         fixed, h = self.trend.shape[1] + known.shape[1], columns.shape[1]
         starts = np.zeros_like(columns) if starts is None else starts
@@ -161,11 +161,11 @@ class Products:
 
     @property
     def sizes(self) -> tuple[Floats, Floats, Floats]:
-        """ln of the restricted likelihood with each column in the first target, its size and variance, (h,).
+        """ln of the restricted likelihood with each column in the first target, its amplitude and variance, (h,).
 
-        They are averages over the trial noises of one kind: of the kinds that the record does not exclude, the
-        one with the largest u, which covers the others. The prior of a starting state is the size estimated
-        with a free state.
+        They are averages over the trial noises of one kind. Of the kinds that the record does not exclude, it is
+        the one with the largest u, which covers the others. The prior u of a starting state is the amplitude of its
+        column, as estimated with a free starting state.
         """
         freedom, each = self.freedom - 1, []
         for number in range(len(self.noises)):
@@ -218,7 +218,7 @@ class Products:
 
     @property
     def gain(self) -> Floats:
-        """ln of the Bayes factor of adding each column, for each target, (h, d), averaged over trial noises.
+        """ln of the Bayes factor (h, d) of adding each column, for each target, averaged over trial noises.
 
         The prior of amplitudes and of starting states is an average of normal distributions of the `SIZES`.
         """
@@ -243,7 +243,7 @@ def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
 
 
 def solved(columns: Floats, targets: Floats) -> tuple[Floats, Floats, float]:
-    """Return least-squares estimates (m, …) of whitened columns (n, m) in targets, covariance, and chi-square."""
+    """Return least-squares estimates (m, …) of `targets` by whitened columns (n, m), covariance and chi-square."""
     spread = np.asarray(np.linalg.pinv(columns.T @ columns, hermitian=True), dtype=np.float64)
     mean = spread @ columns.T @ targets
     return mean, spread, float(np.sum((targets - columns @ mean) ** 2))

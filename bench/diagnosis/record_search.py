@@ -49,9 +49,9 @@ class ChannelFit:
 class Forms:
     """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
 
-    `columns` (n, h) are as `column_of`, `starts` (n, h) as `start_of`; `size` and `variance` (parts, h) are
-    estimates by component. The first forms have the `values` of a shape `parameter` with a unit (None: there is
-    none), with the probabilities `of_values`.
+    `columns` (n, h) are results of `column_of`, `starts` (n, h) of `start_of`. `size` and `variance` (parts, h) are
+    estimates of the amplitude in each component. If the course has a shape `parameter` with a unit, the first forms
+    have its `values`, with the probabilities `of_values`.
     """
 
     columns: Floats
@@ -66,8 +66,8 @@ class Forms:
     def variance_beside(self, noise: Noise, design: Floats, held: Floats) -> Floats:
         """Return the covariance (p, p) that the unknown form adds to the estimates of other columns.
 
-        `design` (n, p + 1) has these p columns, then the data. Deviations count from the estimates with the
-        course in another form, `held` (n, k).
+        `design` (n, p + 1) has these p columns, then the data. Deviations are from the estimates with the course in
+        the form `held` (n, k).
         """
         weight = special.softmax(self.log)
         likely = np.flatnonzero(weight > INSEPARABLE)
@@ -114,11 +114,11 @@ class RecordWork:
         return alike[int(np.argmin(apart))] if alike else None
 
     def of_channels(self, variant: Variant) -> bool:
-        """Return whether each channel has its own size of the effect; otherwise one size is common to all."""
+        """Return whether the effect has an amplitude for each channel, and not one common to all."""
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def without(self, effects: Sequence[AppliedEffect]) -> RecordWork:
-        """Return the work with known effects subtracted; their starting states are further columns of the trend."""
+        """Return the work with known effects subtracted; their starting states become columns of the trend."""
         shapes = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
         starts = [start_of(self.record, *one) for one in dict.fromkeys(shapes)]
         trials = replace(self.trials, trend=np.column_stack([self.trials.trend, *filter(np.any, starts)]))
@@ -176,7 +176,7 @@ class RecordWork:
         return np.column_stack([self.trials.trend, self.columns(courses, part), self.signal[:, part]])
 
     def noises(self, courses: Sequence[Variant]) -> list[Noise]:
-        """Return the most probable noise of each component beside the courses, whose sizes have no prior."""
+        """Return the most probable noise of each component; the amplitudes of the courses have no prior."""
         none, signal = np.zeros((len(self.record), 0)), self.signal
         return [
             self.trials.products(self.columns(courses, k), none, signal[:, k : k + 1]).noise
@@ -184,10 +184,10 @@ class RecordWork:
         ]
 
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
-        """Return ln of the Bayes factor of each of h variants (h, d), and of the posterior odds of each family.
+        """Return ln of the Bayes factor (h, d) of each variant, and ln of the posterior odds of each family.
 
-        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns
-        (n, d).
+        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns (n,
+        d).
         """
         every = self.candidates.variants
         own = np.array([self.of_channels(one) for one in every])
@@ -203,8 +203,8 @@ class RecordWork:
     def search(self) -> tuple[list[FoundEffect], Threshold]:
         """Return the effects found, strongest first, and the threshold, simulated from the noise of this record.
 
-        A find gets its likeliest shape, as its remainder could be taken for another effect. Data sets are fewer
-        than for runs, because each is scored with every kind of slow noise.
+        A find gets its likeliest shape, because what another shape leaves could be taken for another effect. Fewer
+        data sets are simulated than for runs, because each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
@@ -230,17 +230,17 @@ class RecordWork:
     # --- estimates ------------------------------------------------------------------------------------
 
     def fitted(self, part: int, courses: Sequence[Variant], noise: Noise) -> tuple[Floats, Floats, float]:
-        """Return estimates (p,), their covariance and chi-square of `design` in a component, for a known noise."""
+        """Return estimates (p,), covariance and chi-square of `design` in a component, for a known noise."""
         white = noise.whiten(self.design(courses, part))
         return solved(white[:, :-1], white[:, -1])
 
     def sizes(
         self, courses: Sequence[Variant], number: int = 0, forms: Forms | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the size of the course `number` and its covariance, in plausible sizes, beside all `courses`.
+        """Return the amplitude of the course `number` beside all `courses`, and its covariance, in plausible sizes.
 
-        Both have an entry for each channel, or one for a common size. With `forms`, they are averages over the
-        possible forms of the course, weighted by likelihood.
+        Both have an entry for each channel, or one for an amplitude common to all. With `forms`, they are averages
+        over the possible forms of the course, weighted by likelihood.
         """
         course = courses[number]
         log, size, variance = (
@@ -256,7 +256,7 @@ class RecordWork:
         return self.helmert.T @ mean, self.helmert.T @ covariance @ self.helmert
 
     def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
-        """Return the course `number` in its mean shape, u of this shape (SI), its size, and u of the size."""
+        """Return the course `number` in its mean shape, u of this shape (SI), its amplitude, and u of that."""
         forms, course = self.forms(courses, number), courses[number]
         size, covariance = self.sizes(courses, number, forms)
         if forms.parameter is None:
@@ -284,7 +284,7 @@ class RecordWork:
         return Forms(*self._in_part(every, 0), log, size, variance, parameter, values, of_values)
 
     def close_shapes(self, courses: Sequence[Variant], number: int) -> list[Variant]:
-        """Return the course `number` in its likely shapes, the best first; a jump or fixed shape as it is."""
+        """Return the course `number` in its likely shapes, the best first; a jump or a fixed shape alone."""
         course = courses[number]
         if course.family == MOVE or _parameter(course) is None:
             return [course]
@@ -324,7 +324,7 @@ class RecordWork:
     # --- results --------------------------------------------------------------------------------------
 
     def named(self, finds: Sequence[FoundEffect], limit: Threshold) -> tuple[NamedEffect, ...]:
-        """Return `finds` as named effects with values; channels of no more than noise are left out."""
+        """Return `finds` as named effects with values; channels without a significant value are left out."""
         courses = [f.variant for f in finds]
         noises, shown, u_of_shapes = self.noises(courses), [], []
         sizes, known = [np.zeros(0)], [np.zeros(0)]

@@ -34,9 +34,9 @@ FORCE_STEPS: Final = tuple(f"(a {'<' if level < 0.0 else '>'} {level:g})" for le
 
 @dataclass(frozen=True)
 class TermUnit:
-    """The unit of the size of a term, `text`, and its value in SI, `si`.
+    """The unit of the amplitude of a term: its symbol `text`, and its value `si` in SI.
 
-    `plausible` is the plausible size, SI; `plausible_per_k`, that of a term in proportion to temperature, SI/K.
+    `plausible` is the plausible size, SI; `plausible_per_k` is that of a term in proportion to temperature, SI/K.
     """
 
     text: str
@@ -60,10 +60,11 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 class TimeCourse:
     """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
-    Each of the formulas `expressions` has its own size; `constants` are parameters of a single value.
-    `of_temperature`: in kelvin; `of_angle`: of the head angle; `long`: also tried in scale factor and voltage
-    and, if it has a `where`, in a meter's gain; `narrow`: at one angle, mounting or step, or a fast wave, and so
-    not tried in angles of the stand. `where` says in words where it acts.
+    Each of the formulas `expressions` has its own amplitude; `constants` are parameters with a single value. With
+    `of_temperature`, the course is in kelvin; with `of_angle`, it depends on the head angle. With `long`, scale
+    factor and voltage may also follow it and, if it has a `where`, a meter's gain. A `narrow` course is at one
+    angle, mounting or step, or is a fast wave; angles of the stand do not follow it. `where` says in words where it
+    acts.
     """
 
     words: str
@@ -78,10 +79,10 @@ class TimeCourse:
 
 @dataclass(frozen=True)
 class DictionaryTerm:
-    """A term of the dictionary: formulas, each with a size in `unit`, added at one stage of the model.
+    """A term of the dictionary: formulas, each with an amplitude in `unit`, added at one stage of the model.
 
-    `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for
-    powers and products; `in_proportion`, the course changes the scale factor or the meter's gain.
+    `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for powers
+    and products. With `in_proportion`, the course changes the scale factor or the meter's gain.
     """
 
     family: str
@@ -99,7 +100,7 @@ class DictionaryTerm:
         return self.course.where if self.course is not None else ""
 
     def effect(self, name: str, *, per_channel: bool) -> FormulaEffect:
-        """Return the term as an effect with this name, whose sizes are `per_channel` or common to all."""
+        """Return the term as an effect with this name; amplitudes are `per_channel` or common to all."""
         sizes = SIZE_NAMES[: len(self.expressions)]
         unit = self.unit
         return FormulaEffect(
@@ -150,7 +151,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
 
 
 class SizeColumns(NamedTuple):
-    """Changes of the N rows by a plausible size, by channel and in all; `shown`: which channels change a row."""
+    """Changes of the rows by a plausible size, by channel and in all; `shown` (3,): channels where it is not 0."""
 
     of_channels: Floats
     of_all: Floats

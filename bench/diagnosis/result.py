@@ -36,8 +36,8 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    `sha256` is a hash of all, of the catalogue, and of the weights of prior sizes. The sets `held_out_else` are
-    held out if the sets `held_out` cannot be. `pair_margin` is always None.
+    `sha256` is a hash of all settings, of the catalogue, and of the weights of prior sizes. The sets of readings
+    `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is always None.
     """
 
     sha256: str
@@ -117,7 +117,8 @@ UNNAMED_WORDS: Mapping[str, str] = {
 class EffectValue:
     """An estimated parameter of an effect; `value` and `u` are in `unit`, the unit of the catalogue.
 
-    `u` is None for a shape from a grid. `channel` and `installations` are empty if the value is for all.
+    `u` is None for a shape parameter chosen from a grid. `channel` is empty if the value is for all channels,
+    `installations` if it is for all mountings.
     """
 
     parameter: str
@@ -132,12 +133,12 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
-    `cannot_tell_from` are its ties, `odds` the posterior probabilities of all names, `plainer_than` effects of
-    the same subsystem that include it. `rho` is the size of the parameters in units of u
-    (`Posterior.significance`), None without one. `p` is the p-value of this effect alone, `p_all_looks` that
-    for all effects tried. `applied` has an entry for each set of mountings, none outside the catalogue;
-    `together`, sums or differences that are known far better than the values. `aliases` are other periods per
-    turn, indistinguishable at these angles.
+    `cannot_tell_from` are its ties; `odds` are the posterior probabilities of all names; `plainer_than` are effects
+    of the same subsystem that include it. `rho` is `Posterior.significance` of the parameters, None if not
+    estimated. `p` is the p-value of this effect alone; `p_all_looks` is corrected for all effects searched.
+    `applied` has an entry for each set of mountings, none outside the catalogue. `together` are sums or differences
+    that are known far better than the values. `aliases` are other periods per turn that these angles do not
+    distinguish.
     """
 
     name: str
@@ -157,7 +158,7 @@ class NamedEffect:
 
     @classmethod
     def unnamed(cls, name: str, p: float, words: str, odds: tuple[FamilyOdds, ...] = ()) -> NamedEffect:
-        """Return an unnamed pattern without parameters, which `words` describe."""
+        """Return an unnamed pattern without parameters; `words` describe it."""
         return cls(name, (), (), (), (), (), p, p, None, words, odds=odds)
 
     @property
@@ -178,10 +179,10 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Findings:
-    """What every diagnosis finds, of oriented readings, of free positions, or of a record.
+    """The findings that every diagnosis has, of oriented readings, of free positions, or of a record.
 
-    `of_copy` is the verdict on a copy without mistakes; `where` are patterns of residuals; `gap` is on held-out
-    readings.
+    `of_copy` is the verdict on the copy in which mistakes are corrected; `where` are patterns of residuals; `gap`
+    is the gap on held-out readings.
     """
 
     of_copy: Verdict
@@ -192,7 +193,7 @@ class Findings:
 
     @property
     def mistaken(self) -> bool:
-        """Whether the readings have mistakes, which were corrected in a copy."""
+        """Whether the readings have mistakes that were corrected in a copy."""
         return False
 
     @property
@@ -202,7 +203,7 @@ class Findings:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The effects of the catalogue that were found, with their values, to be added to the model."""
+        """The effects of the catalogue that were found, with the values with which they can join the model."""
         return tuple(applied for effect in self.effects for applied in effect.applied)
 
 
@@ -210,16 +211,16 @@ class Findings:
 class Diagnosis(Findings):
     """The complete result of the diagnosis of one set of readings.
 
-    `far` are readings far from the model. `p_left` compares the noise about the model with all finds and that
-    of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show (empty:
-    all); `absent`, to the reason why this bench cannot have them. `unseen_per_turn` are periods per turn of
-    head errors that do not change the readings. `detectable` is the size of each effect that half of all runs
-    find, in plausible sizes; `smallest`, that of several parameters.
+    `far` are readings far from the model. `p_left` is the p-value of the noise about the model with all finds
+    against that of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show
+    (empty: all). `absent` maps effects to the reason why this bench cannot have them. `unseen_per_turn` are periods
+    per turn of head errors that do not change the readings. `detectable` is the amplitude at which half of all runs
+    find each effect, in plausible sizes; `smallest` is the joint amplitude of several parameters.
 
     `in_part` are possible parts of the finds with other shapes, which the u of the coefficients includes;
-    `left_open`, those of them for a model file. `findings` state where noise is larger than stated;
-    `noise_kinds`, where it departs from normal noise of one size. `form` describes finds without a name. Plots
-    and reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
+    `left_open` are the parts for a model file. `findings` state where noise is larger than stated; `noise_kinds`,
+    where it departs from normal noise of one standard deviation. `form` describes finds without a name. Plots and
+    reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
     """
 
     far: tuple[FarReading, ...]
@@ -246,7 +247,7 @@ class Diagnosis(Findings):
 
     @property
     def mistaken(self) -> bool:
-        """Whether the readings have mistakes, which were corrected in a copy."""
+        """Whether the readings have mistakes that were corrected in a copy."""
         return bool(self.mistakes.mistakes)
 
     @property
@@ -264,7 +265,7 @@ OF_TEMPERATURE = ("thermal_bias", "thermal_scale")
 
 
 def at_reference(found: Iterable[Effect]) -> Iterator[str]:
-    """Yield a sentence on the temperature at which coefficients hold, if an effect `found` depends on it."""
+    """Yield a sentence on the temperature of the coefficients, if any effect in `found` depends on temperature."""
     names = [
         one.name
         for one in found
@@ -309,9 +310,10 @@ UNNAMED_FORM: Final = "unnamed_form"
 
 @dataclass(frozen=True)
 class UnexplainedScatter:
-    """Scatter about the model beyond that of repeats, 1 sigma, unit of the signal, with `u` and p-value.
+    """The standard deviation of the scatter about the model beyond that of repeats, unit of the signal.
 
-    `upper` is its 95 % limit; it and `u` are infinite if all readings are repeats.
+    `value` has the uncertainty `u`, the 95 % limit `upper`, and the p-value `p` of no such scatter. If all readings
+    are repeats, `u` and `upper` are infinite.
     """
 
     value: float
@@ -321,7 +323,7 @@ class UnexplainedScatter:
 
     @classmethod
     def of(cls, noise: NoiseSize, repeats: Repeats) -> UnexplainedScatter:
-        """Return the noise about the model with all effects, in excess of the noise of repeats (F test)."""
+        """Return the scatter about the model with all effects, in excess of the noise of repeats (F test)."""
         # per setting, two directions of the signals are perpendicular to du/dphi
         of_repeats = 2 * repeats.freedom
         beyond = noise.freedom - of_repeats
@@ -347,10 +349,10 @@ class UnexplainedScatter:
 
 @dataclass(frozen=True)
 class FormTerm:
-    """A term of the dictionary that was found, with its sizes and their u.
+    """A term of the dictionary that was found, with its amplitudes and their u.
 
-    `could_also_be` are terms that describe the readings as well. `rho` is its size in units of noise; the
-    p-value `p` does not count the terms tried.
+    `could_also_be` are terms that describe the readings equally well. `rho` is `Posterior.significance` of the
+    term; its p-value `p` is not corrected for the number of terms searched.
     """
 
     applied: AppliedEffect
@@ -370,9 +372,9 @@ class FormTerm:
 class FreeForm:
     """A description, by terms of the dictionary, of what the catalogue does not explain.
 
-    `gap` is the prediction of held-out readings without and with the terms. `dark` is the scatter beyond the
-    noise of repeats; `scatter` is the place where it is largest, if any. `instead_of` are named effects of the
-    same readings: either they or the terms are present.
+    `gap` compares predictions of held-out readings without and with the terms. `dark` is the scatter beyond the
+    noise of repeats; `scatter` is the place where it is largest, if any. `instead_of` are named effects that
+    explain the same readings: either they or the terms are present.
     """
 
     terms: tuple[FormTerm, ...]
@@ -389,7 +391,7 @@ class FreeForm:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms with values, to be added to the model, if they predict and no name explains the same."""
+        """The terms to add to the model; empty if they do not predict, or if a name explains the same."""
         return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
 

@@ -1,7 +1,7 @@
 """The search for effects in readings of one or several runs, under the kind of noise of the largest evidence.
 
-The system of one run is linearised again about the effects found until accurate. In several runs, effects are
-searched in all runs together, and in each run alone.
+The system of one run is linearised about the effects found, repeatedly until this is accurate. In several runs,
+effects are searched in all runs together, and in each run alone.
 """
 
 from __future__ import annotations
@@ -49,11 +49,12 @@ from bench.readings.table import Readings
 
 @dataclass(frozen=True)
 class Prepared:
-    """Readings prepared for the search: system, noise of repeats, whitened candidates, products, threshold.
+    """Readings prepared for the search: their linear system, noise of repeats, candidates and threshold.
 
-    `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the finds,
-    is already subtracted from the response. `log_odds` is ln of the prior odds of the noise hypotheses chosen,
-    minus the cost of their parameters; `chosen` maps their kinds to words.
+    `data` are the products of the residuals with the candidates, `limit` is the threshold of the evidence.
+    `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the finds, is
+    already subtracted from the response. `log_odds` is ln of the prior odds of the chosen noise hypotheses, minus
+    the cost of their parameters; `chosen` maps their kinds to words.
     """
 
     linear: LinearSystem
@@ -90,10 +91,10 @@ Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
-    """Return the readings with the noise hypothesis of the largest evidence, and the finds with it.
+    """Return the readings under the noise hypothesis with the largest evidence, and the finds under it.
 
-    `again` searches with another noise. Nothing changes if none is better, or if repeats share a rounding
-    error, because they then do not show the noise.
+    `again` repeats the search under another noise hypothesis. The arguments are returned if no hypothesis is
+    better. They are also returned if repeats share a rounding error, because repeats then do not show the noise.
     """
     if prepared.whitened.grid.known:
         return prepared, naming
@@ -133,9 +134,10 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear` with the kind of noise of `prepared`, a system of the same readings in another model.
+    """Return `linear` with the noise of `prepared`, a system of the same readings in another model.
 
-    With several blocks, whose rows are in another order, `linear` gets only the noise by channel and by run.
+    With several blocks, the rows of the two systems are in another order. Then `linear` gets only the noise by
+    channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -153,10 +155,10 @@ def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSyste
 
 @dataclass(frozen=True)
 class SearchTask:
-    """What every search needs besides the readings; effects in `absent` are not searched.
+    """The arguments that every search needs besides the readings; effects in `absent` are not searched.
 
-    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error"; `resolution` is the
-    step of the last digit, unit of the signal.
+    `stand_u` has the standard uncertainties, rad, of `STAND_ANGLES` and "setting_error"; `resolution` is the step
+    of the last digit, unit of the signal.
     """
 
     model: ForwardModel
@@ -177,26 +179,30 @@ class SearchTask:
         return with_rounding(linear, self.resolution, self.repeats(linear).sigma)
 
     def repeats(self, linear: LinearSystem, most: float = np.inf) -> Repeats:
-        """Return the noise from repeats, but no more than `most`."""
+        """Return the noise from repeats, limited to at most `most`, unit of the signal."""
         repeats = noise_of_repeats(linear, self.resolution)
         return replace(repeats, sigma=min(repeats.sigma, most))
 
     def whiten(self, linear: LinearSystem, candidates: Candidates, sigma: float) -> tuple[Whitened, Data]:
-        """Return whitened candidates and products with the residuals; `sigma` is a first noise estimate."""
+        """Return the whitened candidates, and their products with the residuals.
+
+        `sigma` is a first estimate of the noise of a reading, unit of the signal.
+        """
         whitened = Whitened.of(self.grid(linear, sigma), candidates)
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid for a first estimate `sigma`, which is final if repeats share a rounding error."""
+        """Return the noise grid for a first noise estimate `sigma`, final if repeats share a rounding error."""
         return replace(
             make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
         )
 
     def smaller_noise(self, grid: NoiseGrid, noise: NoiseSize) -> float | None:
-        """Return the noise of a reading about the finds if it is smaller than that of `grid`; None otherwise.
+        """Return the noise about the model with the finds, if it is smaller than that of `grid`; otherwise None.
 
-        An effect that changes between repeats makes the first estimate too large, and so the limits of the stand
-        too narrow. With a coarse last digit, the first estimate stays.
+        An effect that changes between repeats makes the first estimate of the noise too large, and therefore the
+        prior u of the stand angles too small in units of the noise. With a coarse last digit, the first estimate
+        stays.
         """
         smaller = noise.reading < (1.0 - SAME_SIZE) * grid.sigma
         return noise.reading if smaller and not is_rounded(self.resolution, noise.reading) else None

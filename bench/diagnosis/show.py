@@ -41,10 +41,10 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `calibration` has the estimates; `effects` are those of the model with values and u estimated here. `test`
-    compares the readings with a simulation without noise. `points` are the errors at verification points,
-    independent of the fit unless it is `joined`, because an effect shows only there. `repeat` computes
-    `repeated`.
+    `calibration` has the estimates; `effects` are those of the model, with values and u estimated here. `test`
+    compares the readings with a simulation without noise. `points` are the errors at verification points. They are
+    independent of the fit unless it includes these points (`joined`), because an effect shows only there. `repeat`
+    computes `repeated`.
     """
 
     model: ForwardModel
@@ -75,7 +75,7 @@ class Simulation:
 class CoefficientChange:
     """A coefficient and its u, `before` with the given model and `after` with the effects found.
 
-    `u_after` includes what ties of the effects would change.
+    `u_after` includes the change of the coefficient if a tie is present in place of an effect.
     """
 
     before: float
@@ -91,7 +91,7 @@ class CoefficientChange:
 
 @dataclass(frozen=True)
 class ModelComparison:
-    """Simulations with the given model (`before`), and with the finds added (`after`; None without any)."""
+    """Simulations with the given model (`before`), and with the effects found (`after`; None if there are none)."""
 
     before: Simulation
     after: Simulation | None
@@ -121,10 +121,10 @@ def show(
 ) -> ModelComparison:
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
-    `stand_u` is as in `diagnose`; `g_m_s2` is local gravity. Effects found in these readings are estimated
-    again without their u; `in_part`, possible parts of other shapes, keep it. `slow` (n, 3, k) are signals of
-    one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration finds
-    a drift itself. The u with the finds includes `by_ties` (k, 12), the result of `shifts_by_ties`. Raises
+    `stand_u` is as in `diagnose`; `g_m_s2` is local gravity, m/s². The effects `added` are estimated again without
+    their u as priors. `in_part`, their possible parts of other shapes, keep their u as priors. `slow` (n, 3, k) are
+    signals of one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration
+    finds a drift itself. The u with the effects includes `by_ties` (k, 12), the result of `shifts_by_ties`. Raises
     `CalibrationError` if the readings do not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
@@ -146,8 +146,8 @@ def label(applied: AppliedEffect) -> str:
 def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEffect]) -> Iterator[str]:
     """Yield a sentence for each value `stated` by a model that its new estimate contradicts, at `HARDLY_EVER`.
 
-    `estimated` are the same effects, estimated again. The u of the difference is the root of the difference of
-    the variances.
+    `estimated` are the same effects, estimated again. The variance of each difference is the difference of the two
+    variances.
     """
     for one, now in zip(stated, estimated, strict=True):
         for parameter in one.effect.parameters:

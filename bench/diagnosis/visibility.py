@@ -1,4 +1,4 @@
-"""What readings show: effects that they could never show, two explanations set apart, patterns of the residuals."""
+"""What readings can show: effects too small to be found, the separation of two explanations, residual patterns."""
 
 from __future__ import annotations
 
@@ -26,9 +26,10 @@ from bench.readings.table import VERIFICATION
 
 
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
-    """Return the size of each effect that half of all runs find, in plausible sizes, for its best form.
+    """Return, for each effect, the amplitude at which half of all runs find it, in plausible sizes.
 
-    It is infinite if no size is ever found; `ratio` is the index of the noise ratio.
+    It is that of the form that shows best, and infinite if no amplitude is ever found. `ratio` is the index of the
+    noise ratio.
     """
     variants = whitened.candidates.variants
     square = dict.fromkeys(CATALOGUE, 0.0)
@@ -52,9 +53,10 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The size, in `unit`, that half of all runs find: the root of the sum of squares of several parameters.
+    """The joint amplitude of several `parameters`, in `unit`, at which half of all runs find their effect.
 
-    If `part`, some proportions of the parameters show at no credible size.
+    `size` is the root of the sum of squares of the parameters. If `part`, the readings do not show some proportions
+    of the parameters at any credible amplitude.
     """
 
     parameters: tuple[str, ...]
@@ -64,9 +66,10 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return, for effects with several parameters of size, the size found in half of all runs, by unit.
+    """Return, for effects with several amplitudes of one unit, the joint one at which half of all runs find them.
 
-    It is for the best channel, mounting and shape, and the worst proportions (such as the phase of a wave).
+    It is for the best channel, mounting and shape, and the worst proportions of the amplitudes (such as the phase
+    of a wave). The arguments are those of `detectable`.
     """
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
@@ -109,10 +112,10 @@ def _smallest_of(gram: Floats, own: Sequence[Parameter], half: float) -> Smalles
 def hidden(
     whitened: Whitened, threshold: Threshold, ratio: int, sizes: Mapping[str, float]
 ) -> dict[str, tuple[str, ...]]:
-    """Return the effects that these readings could not show, each with its hidden parts (empty: all of it).
+    """Return the effects that these readings could not show, each with its hidden parts.
 
-    A part is one phase of a wave. `sizes` are the result of `detectable`; `ratio` is the index of the noise
-    ratio.
+    A part is one phase of a wave; without parts, the whole effect is hidden. `sizes` is the result of `detectable`;
+    `ratio` is the index of the noise ratio.
     """
     candidates = whitened.candidates
     seen = (
@@ -137,7 +140,11 @@ def hidden(
 
 
 class EffectPart(NamedTuple):
-    """One parameter at its plausible size, in a channel and mountings (None, empty: all), for a `shape` in SI."""
+    """One parameter of an effect at its plausible size, in a channel and in mountings.
+
+    `channel` None is all channels, empty `mounts` are all mountings; `shape` has names and SI values of the shape
+    parameters.
+    """
 
     family: str
     parameter: str
@@ -177,7 +184,10 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
 
 
 class ReadingDesign:
-    """Readings, measured or planned, in which two explanations are compared beside `others`, of wide prior."""
+    """Readings, measured or planned, in which two explanations are compared.
+
+    `others` are forms of further effects, which act with unknown amplitudes of a wide prior.
+    """
 
     def __init__(self, linear: LinearSystem, noise: NoiseSize, others: Sequence[Form] = ()) -> None:
         self.linear = linear
@@ -187,9 +197,10 @@ class ReadingDesign:
         self._known = [self._column(part) * KNOWN_SIZE for form in others for part in form]
 
     def remounted(self, families: Sequence[str], before: Sequence[str]) -> None:
-        """Add, for each mounting not in `before`, an unknown error of plausible size of `families`.
+        """Add an error of unknown amplitude for each of `families` in each mounting that is not in `before`.
 
-        Only effects that differ between mountings count. Call it before `seen`.
+        The prior u of the amplitude is the plausible size. Effects that do not differ between mountings are
+        ignored. Call it before `seen`.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -222,7 +233,7 @@ class ReadingDesign:
         return self._unseen[part]
 
     def seen(self, form: Form) -> Floats:
-        """Return the changes by each part of a form in units of the noise, free unknowns projected out."""
+        """Return the whitened changes (N, parts) by each part of a form, with free unknowns projected out."""
         new = [part for part in dict.fromkeys(form) if part not in self._seen]
         if new:
             left = self._left(np.column_stack([self._column(part) for part in new]))
@@ -230,7 +241,10 @@ class ReadingDesign:
         return np.array([self._seen[part] for part in form]).T
 
     def divergence(self, found: Sequence[AppliedEffect], rivals: Sequence[Form]) -> float:
-        """Return the divergence D of an effect `found`, expected ln of odds, from the most similar rival."""
+        """Return the divergence D of an effect `found` from the most similar of `rivals`.
+
+        D is the expected ln of the odds of the effect against this rival.
+        """
         total = np.sum([self.linear.effect_column(applied) for applied in found], axis=0)
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
@@ -242,7 +256,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of a plausible size beside free unknowns, for the best of `forms`."""
+        """Return the signal-to-noise ratio of a plausible size for the best of `forms`, beside free unknowns."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
 
 
@@ -261,7 +275,7 @@ HARMONICS: Final = (
 class ResidualPattern:
     """One pattern of the residuals, in a channel and an installation, with its amplitude in `unit`.
 
-    `p` is corrected for the number of patterns tried; `p_local` is not.
+    The p-value `p` is corrected for the number of patterns; `p_local` is not.
     """
 
     channel: str
@@ -280,10 +294,10 @@ Look = tuple[str, str, str, Floats]
 def find_places(
     linear: LinearSystem, grid: NoiseGrid, ratio: int, sigma: float, freedom: int
 ) -> tuple[ResidualPattern, ...]:
-    """Return the significant patterns of the residuals, the largest first, at most `LISTED`.
+    """Return the significant patterns of the residuals, the most significant first, at most `LISTED`.
 
-    `ratio` is the index of the noise ratio; `sigma`, unit of the signal, is the noise from repeats, with
-    `freedom` degrees of freedom. p-values are corrected for the number of patterns.
+    `ratio` is the index of the noise ratio; `sigma`, unit of the signal, is the noise from repeats, with `freedom`
+    degrees of freedom. p-values are corrected for the number of patterns.
     """
     looks = list(_looks(linear))
     white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
@@ -396,9 +410,10 @@ def _over_run(linear: LinearSystem, own: Mask) -> Iterator[tuple[str, Floats]]:
 
 @dataclass(frozen=True)
 class FarReading:
-    """A reading that is `size_u` standard uncertainties from its prediction without it.
+    """A reading that is `size_u` standard uncertainties from its prediction by all other readings.
 
-    `channel` is x, y, z, "modulus", or "setting" for the direction of a setting error. `p` counts all readings.
+    `channel` is x, y, z, "modulus", or "setting" for the direction of a setting error. The p-value `p` is corrected
+    for the number of readings.
     """
 
     installation: str
@@ -457,9 +472,10 @@ _CHANNEL: Final = (*CHANNELS, "modulus")
 
 
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
-    """Return the periods per turn, up to one per mark, indistinguishable from `order` at the angles (n,).
+    """Return the periods per turn that the angles (n,) do not distinguish from `order` periods per turn.
 
-    Order 0 is a constant, which the coefficients absorb. Angles within 0.1 deg, or whole turns, count as one.
+    They go up to one period per mark. Order 0 is a constant, which the coefficients absorb. Angles that differ by
+    at most 0.1 deg, or by whole turns, count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)

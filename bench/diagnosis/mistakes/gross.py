@@ -1,4 +1,4 @@
-"""Gross mistakes of wiring and procedure: other meanings of the record (maps), scored by their evidence."""
+"""Gross mistakes of wiring and procedure: other meanings of the record, compared by their evidence."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ SHEET_U: Final = (0.10, 0.05, 0.5)
 
 
 def sheet_u(scale: Floats) -> Floats:
-    """Return the prior u (4, 3) of the coefficients about those of a data sheet, by channel in columns.
+    """Return the prior u (4, 3) of the coefficients about those of a data sheet, one column for each channel.
 
-    A column has the row of K of its channel, unit of the signal per g, then the bias, unit of the signal.
-    `scale` (3,) are the scale factors of the data sheet.
+    A column has the channel's row of K, unit of the signal per g, then its bias, unit of the signal. `scale` (3,)
+    are the scale factors of the data sheet.
     """
     own, cross, bias = SHEET_U
     return np.asarray(np.vstack([np.where(np.eye(3) == 1, own, cross), np.full(3, bias)]) * scale)
@@ -47,10 +47,10 @@ def sheet_u(scale: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class GrossMistake:
-    """The supposed mistake that explains the readings best, and others that do so equally well, `equal`.
+    """The supposed mistake that explains the readings best; `equal` are others that explain them equally well.
 
-    `p` is an upper limit, suppositions tried over odds: chance gives odds of B with a probability of at most
-    1/B.
+    `p` is an upper limit of the p-value, the number of suppositions divided by the odds: chance gives odds of B
+    with a probability of at most 1/B.
     """
 
     supposition: Reinterpretation
@@ -60,7 +60,11 @@ class GrossMistake:
 
 @dataclass(frozen=True)
 class GrossFit:
-    """A block fitted to readings, with the chi-squares of these (`misfit`) and about the `sheet`, by channel."""
+    """A block fitted to readings with the data sheet as prior, and how well it fits.
+
+    `misfit` is the chi-square of the readings; `sheet` (3,) is that of each channel's coefficients about the data
+    sheet.
+    """
 
     block: Block
     misfit: float
@@ -72,8 +76,8 @@ class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
     `nominal` (3,) are the signed scale factors of the data sheet, unit of the signal per g, None if unknown.
-    `stand_rad` is the prior u of the angle between block and vertical that the limits of the bench permit, rad,
-    and of the specific force, g.
+    `stand_rad` is the combined prior u of the stand angles and the setting error, rad; in g, it is the least error
+    of the specific force.
     """
 
     installations: Mapping[str, Installation]
@@ -81,11 +85,11 @@ class GrossSearch:
     stand_rad: float = 0.0
 
     def find(self, readings: Readings) -> GrossMistake | None:
-        """Return the most probable mistake, if its odds exceed suppositions tried over `HARDLY_EVER`; else None.
+        """Return the most probable mistake; None unless its odds exceed the number of suppositions / `HARDLY_EVER`.
 
-        It competes with the supposition that a reading, pass or mounting is useless. If the copy is still far
-        off, two mistakes may hide each other: the search is repeated without each mounting in turn, and the
-        mistake is returned that explains most together with a second one.
+        It competes with the supposition that a reading, pass or mounting is useless. If the corrected copy is still
+        far from the model, two mistakes may hide each other. Then the search is repeated without each mounting in
+        turn. The result is the mistake that, together with a second one, explains the readings best.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -101,10 +105,10 @@ class GrossSearch:
         return min(better, key=lambda one: (len(one.equal), -after[one]), default=found)
 
     def find_at_verification(self, readings: Readings) -> GrossMistake | None:
-        """Return the wiring mistake at verification points, of unknown orientation, that best makes |a| = 1 g.
+        """Return the wiring mistake at verification points whose correction best gives |a| = 1 g.
 
-        The coefficients are those of the oriented readings, with the signs of the data sheet. None if no
-        mistake does, or there is no data sheet.
+        The orientation of the points is not used. The coefficients are those of the oriented readings, with the
+        signs of the data sheet. The result is None if no mistake is found, or if there is no data sheet.
         """
         points, table = OrientedRows.of(readings, verification=True), OrientedRows.of(readings)
         if len(points) < 2 or self.nominal is None:  # a single point may be wrong by itself
@@ -169,16 +173,19 @@ class GrossSearch:
     def p_of_copy(self, recorded: Readings, right: Readings, log_scaling: float, log_looks: float) -> float:
         """Return an upper limit of the p-value of a copy with corrected units, `right`, against `recorded`.
 
-        It is the number of suppositions (ln: `log_looks`) over the odds of the copy. `log_scaling` is ln of the
-        factor by which the correction enlarges a volume of signals; it converts a density of corrected signals
-        to one of recorded signals.
+        It is the number of suppositions (ln: `log_looks`) divided by the odds of the copy. `log_scaling` is ln of
+        the Jacobian determinant of the correction of all signals. It converts a density of corrected signals to one
+        of recorded signals.
         """
         copy, record = OrientedRows.of(right), OrientedRows.of(recorded)
         odds = [self._log_evidence(table, [nothing(table)], copy, table.every)[0] for table in (copy, record)]
         return p_of(odds[0] - odds[1] + log_scaling, log_looks)
 
     def fit(self, table: OrientedRows, rows: Mask) -> GrossFit:
-        """Return the block fitted to rows as recorded; errors have the least size, the data sheet is the prior."""
+        """Return the block fitted to the recorded signals in `rows`, with the data sheet as prior.
+
+        The standard deviation of the errors is the least that the bench permits.
+        """
         mean, u = self._prior(table)
         columns, signal = self._columns(table, nothing(table))[rows], table.signal[rows]
         unit = self._smallest_g * self._scale(table)
@@ -263,7 +270,7 @@ def _enough(maps: Sequence[Reinterpretation]) -> float:
 
 
 def p_of(log_odds: float, log_looks: float) -> float:
-    """Return exp(`log_looks` - `log_odds`), suppositions tried over odds: at most 1, and never exactly 0."""
+    """Return the number of suppositions over the odds, exp(`log_looks` - `log_odds`): at most 1, never 0."""
     return max(math.exp(min(log_looks - log_odds, 0.0)), sys.float_info.min)
 
 

@@ -1,7 +1,7 @@
 """Readings minus prediction as one table, on which mistakes compete with changes of the bench.
 
-Every hypothesis adds columns with normal priors to the linear model. All are compared by their evidence, with
-the size of the noise integrated out and averaged over the noise ratio, as in the search for effects.
+Every hypothesis adds columns with normal priors to the linear model. All are compared by their evidence, as in the
+search for effects: the standard deviation of the noise is integrated out, and the noise ratio is averaged over.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ WIDE: Final = max(ERRORS)
 
 @dataclass(frozen=True)
 class ProjectedReadings:
-    """The whitened readings of a table at one noise ratio, with all that is known projected out.
+    """The whitened readings of a table at one noise ratio, with the model and known changes projected out.
 
-    `white` has the noise of a reading and the setting error; `basis` (3n, k) spans model and known changes.
-    `pull` (3n,) are the residuals, `square` is their sum of squares; `log_det` is the part of ln of the
-    evidence that does not depend on the readings.
+    `white` has the noise of a reading and the setting error; `basis` (3n, k) spans model and known changes. `pull`
+    (3n,) are the whitened residuals, `square` is their sum of squares. `log_det` is the part of ln of the evidence
+    that does not depend on the readings.
     """
 
     table: Table
@@ -48,7 +48,7 @@ class ProjectedReadings:
 
     @property
     def log_evidence(self) -> float:
-        """ln of the evidence of the readings, with the size of the noise integrated out, up to a constant."""
+        """ln of the evidence of the readings, with the noise integrated out, up to a constant."""
         return self.log_det - 0.5 * self.table.freedom * float(np.log(self.square))
 
     @property
@@ -58,9 +58,10 @@ class ProjectedReadings:
         return self.table.unit * float(np.sqrt(self.square / max(free, 1.0)))
 
     def of_group(self, columns: Floats) -> float:
-        """Return ln of the Bayes factor of a change with `columns` (n, 3, p), in units of noise, against no change.
+        """Return ln of the Bayes factor of a change, against no change.
 
-        The p amplitudes have normal priors, of standard deviations averaged over `SIZES`.
+        `columns` (n, 3, p) are the change by each of p amplitudes, in units of the noise. The amplitudes have
+        normal priors, and the evidence is averaged over their standard deviations `SIZES`.
         """
         inside = self.table.whiten(self.table.unit * columns, self.white)
         known = self.basis.T @ inside
@@ -91,7 +92,7 @@ class ProjectedReadings:
 
     @cached_property
     def blocks(self) -> Floats:
-        """The information matrix (n, 3, 3) of the errors of each reading's channels, in units of noise."""
+        """The information matrix (3, 3) of the errors of each reading's channels, (n, 3, 3), in units of noise."""
         own = self.basis.reshape(len(self.table.left), 3, -1)
         seen = np.swapaxes(self._ways, 1, 2) @ own
         return np.asarray(np.swapaxes(self._ways, 1, 2) @ self._ways - seen @ np.swapaxes(seen, 1, 2))
@@ -104,11 +105,11 @@ class ProjectedReadings:
 
 @dataclass(frozen=True)
 class Table:
-    """The deviations `left` (n, 3) of n readings from the prediction, linearised at a first guess of the block.
+    """Deviations `left` (n, 3) of n readings from the prediction, linearised at the coefficients of `block`.
 
-    `slope` (n, 3), per rad, are the derivatives by the head angle, `coefficients` (n, 3, 12) by the
-    coefficients, and `stand` (n, 3, p) by the other unknowns, times prior u. `unit` is the noise of a reading.
-    All are in the unit of the signal.
+    `slope` (n, 3) has the derivatives by the head angle, unit of the signal per rad. `coefficients` (n, 3, 12) has
+    those by the coefficients, per unit of each coefficient. `stand` (n, 3, p) has the changes by one prior u of
+    each other unknown. `unit` is the noise of a reading. `left`, `stand` and `unit` are in the unit of the signal.
     """
 
     problem: Problem
@@ -121,7 +122,7 @@ class Table:
 
     @classmethod
     def of(cls, problem: Problem, block: Block, signal: Floats, floor: float) -> Table:
-        """Return the table of `signal` (n, 3), linearised at `block`; the noise is at least `floor`."""
+        """Return the table of `signal` (n, 3), linearised at `block`; `floor` is the least noise of a reading."""
         linear = problem.linear(block, problem.prior_mean)
         table = cls(
             problem, block, signal - linear.predicted, linear.slope, linear.jacobian[:, :, :FIXED],
@@ -167,7 +168,7 @@ class Table:
 
     @property
     def deflection(self) -> Floats:
-        """The predicted signals (n, 3) minus the biases, for the first guess of the block."""
+        """The predicted signals minus the biases, (n, 3), for the coefficients of `block`."""
         return np.asarray(self.problem.predict(self.block, self.problem.prior_mean) - self.block.U0)
 
     @property
@@ -176,7 +177,11 @@ class Table:
         return np.asarray(self.deflection @ np.linalg.inv(self.block.K).T)
 
     def whiten(self, columns: Floats, white: Noise) -> Floats:
-        """Return `columns` (n, 3, p) as rows of independent noise of variance 1, (3n, p), for the noise `white`."""
+        """Return `columns` (n, 3, p) multiplied by the inverse root of the covariance of `white`, (3n, p).
+
+        `columns` are in the unit of the signal. `white` has the noise of a reading and the setting error; after
+        whitening, the noise of all 3n rows is independent, of variance 1.
+        """
         return whiten(columns, self.slope, white).reshape(self.left.size, -1)
 
     def seen(
@@ -204,7 +209,7 @@ class Table:
     def points(self) -> Floats:
         """Indicator columns (n, 3, p): a free value of each channel at each angle that a mounting repeats.
 
-        Repeats are within half of `MARK_DEG` of their median: a wrong setting stays with its repeats.
+        Repeats are within half of `MARK_DEG` of their median, so that a slightly wrong setting counts as a repeat.
         """
         conditions = self.problem.conditions
         angle, repeats = np.degrees(conditions.angle_rad), repeat_groups(conditions)
@@ -217,8 +222,8 @@ class Table:
     def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
         """Yield unit changes of the bench that may resemble wrong readings, as columns (n, 3, p).
 
-        The first item is the mask (n,) of the pass of the change; None if it is in all passes, or there is only
-        one.
+        Before the columns comes the mask (n,) of the pass that changes; it is None if all passes change, or if
+        there is only one.
         """
         if self.points.shape[2]:
             yield None, self.points
@@ -266,5 +271,5 @@ def per_channel(columns: Floats | Mask) -> Floats:
 
 
 def scaled(signal: Floats, by: Floats | Mask) -> Floats:
-    """Return columns (n, 3, 3) for changes of gain: each channel of `signal` (n, 3) times the course `by` (n,)."""
+    """Return columns (n, 3, 3), one for each channel of `signal` (n, 3), multiplied by the course `by` (n,)."""
     return np.asarray(signal[:, :, None] * np.eye(3) * np.asarray(by, dtype=np.float64)[:, None, None])

@@ -1,8 +1,8 @@
-"""Suppositions that the readings were taken otherwise than the table says.
+"""Suppositions that the table misstates how the readings were taken.
 
-A supposition changes the meaning of what was recorded: which wire is which, which way the head counts, which
-installation it was, or which stop of the head a reading belongs to. It applies to the whole run, to one
-mounting, or to one pass of a mounting.
+Each supposition is one mistake in the record: channels are exchanged, reversed or in another unit; the dividing
+head counted the other way; the installation label is wrong; or readings belong to a neighbouring stop (angle) of
+the head. It applies to the whole run, to one mounting, or to one pass.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
 
 @dataclass(frozen=True)
 class OrientedRows:
-    """The n readings of a table taken in an orientation, or those at its verification points.
+    """The n oriented readings of a table, or its readings at verification points.
 
-    `rows` (n,) are indices in the table, `mount` (n,) in `mounts`; `label` (n,) are installations; `signal` (n,
-    3) is in `unit`.
+    `rows` (n,) are indices in the table, `mount` (n,) indices in `mounts`; `label` (n,) are installations; `signal`
+    (n, 3) is in `unit`.
     """
 
     rows: Ints
@@ -40,7 +40,7 @@ class OrientedRows:
 
     @classmethod
     def of(cls, readings: Readings, *, verification: bool = False) -> OrientedRows:
-        """Return the readings of a table that were taken in an orientation, or its verification points."""
+        """Return the oriented readings of a table or, if `verification`, its readings at verification points."""
         rows = readings.installation == VERIFICATION if verification else readings.is_oriented
         chosen = readings.select(rows)
         conditions = chosen.conditions()
@@ -96,11 +96,11 @@ class Scope:
 
 @dataclass(frozen=True)
 class Reinterpretation:
-    """A supposed mistake in the record of n readings; a default field leaves the record as it is.
+    """A supposed mistake in the record of n readings; a field with its default states no mistake.
 
-    `label` and `angle_rad` (n,) are the true installations and head angles. The true signals of reading i were
-    recorded with reading `source[i]` (-1: lost). `turns` has rotations (3, 3) from stated to true block axes by
-    installation. `matrix` (3, 3) converts recorded to true signals in `scope`. `words` is a sentence.
+    `label` and `angle_rad` (n,) are the true installations and head angles. The true signals of reading i stand in
+    row `source[i]` of the record (-1: they were not recorded). `turns` maps installations to rotations (3, 3) from
+    stated to true block axes. `matrix` (3, 3) converts recorded to true signals in `scope`. `words` is a sentence.
     """
 
     name: str
@@ -114,7 +114,7 @@ class Reinterpretation:
 
     @property
     def factor(self) -> Floats:
-        """The factor (3,) by which `matrix` multiplies the size of each channel."""
+        """The factor (3,) by which `matrix` multiplies the absolute signal of each channel."""
         return np.asarray(np.sum(np.abs(self.matrix), axis=1))
 
     @property
@@ -124,7 +124,7 @@ class Reinterpretation:
 
     @property
     def log_jacobian(self) -> float:
-        """ln of the enlargement of a volume of signals; at most 0 for a part, where any factor may fit."""
+        """ln of the Jacobian determinant of the correction of all signals; at most 0 for a part of the run."""
         size = float(np.count_nonzero(self.scope.mask) * np.sum(np.log(self.factor)))
         return size if self.scope.whole else min(size, 0.0)
 
@@ -141,15 +141,15 @@ class Reinterpretation:
         )
 
     def signal(self, table: OrientedRows) -> Floats:
-        """Return the true signals (n, 3); with a `source` of -1, they are the first row's as recorded."""
+        """Return the true signals (n, 3); where `source` is -1, those of the first row stand in their place."""
         moved = table.signal if self.source is None else table.signal[np.maximum(self.source, 0)]
         return np.where(self.scope.mask[:, None], moved @ self.matrix.T, moved)
 
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
         """Return a corrected copy of `readings`, of which `table` are the oriented rows.
 
-        A supposition about the whole run corrects wires and sense of the head in all rows, but not the sign of
-        a reference, which is known. Readings of which the signals were not recorded are omitted.
+        A supposition about the whole run corrects wires and sense of the head in all rows. The sign of a reference
+        is known, and stays. Readings whose signals were not recorded are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -202,7 +202,7 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition that is tried, the simpler ones first; `units` adds other units and ranges."""
+    """Return every supposition to compare, the simpler ones first; `units` adds other units."""
     scopes = _scopes(table)
     found: list[Reinterpretation] = []
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
@@ -227,7 +227,7 @@ def nothing(table: OrientedRows) -> Reinterpretation:
 
 
 def losses_of(table: OrientedRows) -> list[Reinterpretation]:
-    """Return suppositions that the signals of one reading, pass or mounting are of unknown origin."""
+    """Return suppositions that one reading, pass or mounting has no usable signals."""
     scopes = [Scope(row) for row in np.eye(len(table), dtype=bool)]
     scopes += [scope for scope in _scopes(table) if not scope.whole]
     rows = np.arange(len(table))
@@ -362,7 +362,7 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
 
 
 def other_mountings(table: OrientedRows) -> list[Reinterpretation]:
-    """Return the suppositions of another mounting along the axes: 23 rotations for each installation."""
+    """Return the suppositions that the block was mounted along other axes: 23 rotations for each installation."""
     found = []
     for label in table.labels:
         mask = table.label == label

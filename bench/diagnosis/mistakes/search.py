@@ -1,9 +1,9 @@
 """The search for mistakes of procedure and wiring, which are corrected one after the other in a copy.
 
-The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is
-left. The record itself is never changed. Other meanings of the record are tried first, because these gross
-mistakes move readings by volts. Only when they are corrected does a fit give a block about which wrong
-settings and outliers are linear changes.
+The likeliest mistake is corrected in a copy of the record, and the copy is searched again until no mistake is left.
+The record itself is never changed. Gross mistakes (other meanings of the record) come first, because they move
+readings by volts. Wrong settings and outliers come last: they are linear changes only about a block that was fitted
+to readings without gross mistakes.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from bench.readings.table import Readings
 class Mistake:
     """A mistake in the record, where it is, and how the copy corrects it.
 
-    `name` is a `MistakeName`; `installations` are mountings (`str(Mounting)`; empty: the whole run); `words` is
-    a sentence. `p` is corrected for all suppositions tried. `cannot_tell_from` are mistakes and effects that
-    explain the readings equally well; "other_mounting" is another orientation of the block. `misfit_before` and
-    `misfit_after` are root mean squares of the deviations from model and data sheet, in units of the noise,
-    before and after the correction; noise alone gives 1.
+    `name` is a `MistakeName`; `installations` are mountings (`str(Mounting)`; empty: the whole run); `words` is a
+    sentence. The p-value `p` is corrected for the number of suppositions. `cannot_tell_from` are mistakes and
+    effects that explain the readings equally well; "other_mounting" is another orientation of the block.
+    `misfit_before` and `misfit_after` are root mean squares of the deviations from model and data sheet, in units
+    of the noise, before and after the correction; noise alone gives 1.
     """
 
     name: str
@@ -55,7 +55,10 @@ class Mistake:
 
 @dataclass(frozen=True)
 class MistakeSearch:
-    """The mistakes in the order of their correction, and the corrected copy; its `skipped` lists outliers."""
+    """The mistakes in the order of their correction, and the corrected copy of the readings.
+
+    The `skipped` rows of the copy are outliers.
+    """
 
     mistakes: tuple[Mistake, ...]
     corrected: Readings

@@ -1,4 +1,4 @@
-"""Wrong settings, outliers and passes that are wrong as a whole, compared with changes of the bench."""
+"""Wrong settings, outliers, and passes with a mistake in all readings, compared with changes of the bench."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ SLIP_PART: Final = 0.01
 class WrongReadings:
     """A mistake in one reading, or in all readings of a pass; `rows` are indices among the oriented readings.
 
-    `off_rad` is the true minus the recorded angle, None if the readings are useless; `ties` are mistakes or
-    effects that may explain them as well; `p` is the number of hypotheses over the odds. For one reading,
-    `shift` (3,) is the error, unit of the signal, and `sigma` its largest component in units of noise; for a
-    pass, `shift` is empty.
+    `off_rad` is the true minus the recorded angle, None if the readings are useless. `ties` are mistakes or effects
+    that explain the readings equally well. `p` is the number of hypotheses divided by the odds. For one reading,
+    `shift` (3,) is the error, unit of the signal, and `sigma` is the largest component of the error divided by its
+    u. For a pass, `shift` is empty.
     """
 
     name: MistakeName
@@ -82,11 +82,11 @@ class TermSearch:
         return Table.of(self.problem, self.fit(~rows), self.signal, self.floor)
 
     def find(self, significance: float) -> list[WrongReadings]:
-        """Return the pass that is wrong as a whole, or else wrong single readings, the largest error first.
+        """Return the pass in which all readings are wrong, or else single wrong readings, the largest error first.
 
-        The likeliest error of a reading or change of the bench joins the model, until no odds exceed
-        1/`significance`. A change of a pass first competes with the mistakes in this pass. Nothing is returned
-        if too many readings would be wrong.
+        The likeliest error of a reading or change of the bench joins the model, one by one, until none has odds
+        above 1/`significance`. A change of a pass joins only if no mistake in this pass explains it. The result is
+        empty if too many readings would be wrong.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
