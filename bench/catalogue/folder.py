@@ -41,7 +41,7 @@ Row = dict[str, Any]
 
 
 def instruments_of(bench: BenchFile | None, run: int, started: Mapping[str, Any]) -> dict[str, list[Row]]:
-    """Return rows on a run's instruments, their use and certificates, by table; `started` is its first event."""
+    """Return the rows of `instruments`, `certificates` and `uses` of a run; `started` is the run's first event."""
     answered = {str(k): str(v) for k, v in (started.get("instruments") or {}).items()}
     serials = {str(k): str(v).strip() for k, v in (started.get("serials") or {}).items()}
     instruments: dict[int, Row] = {}
@@ -97,7 +97,7 @@ _TIME: Final = re.compile(rb'"time": "([^"]{1,40})"')
 
 
 class RecordSeen:
-    """The findings of a fast scan of a record's bytes: hash chain, state of the run, steps with a reading."""
+    """The results of a fast scan of a record: end of the hash chain, state of the run, steps with a reading."""
 
     def __init__(self, folder: Path, manifest: Manifest, manifest_sha256: str) -> None:
         self.folder = folder
@@ -162,7 +162,7 @@ class RecordSeen:
 
     @property
     def ended(self) -> datetime | None:
-        """Civil time of the last event of a run that is no longer in progress; None for other runs."""
+        """The UTC time of the last event, without a time zone; None while the run is in progress."""
         if self.state in (RunState.READY, RunState.RUNNING, RunState.PAUSED):
             return None
         told = _TIME.search(self._last)
@@ -170,7 +170,7 @@ class RecordSeen:
 
     @property
     def temperature_c(self) -> float | None:
-        """Mean temperature (°C) of the readings."""
+        """Mean temperature (°C) of all readings, also of those repeated later; None if no reading states it."""
         finite = [value for value in self._temperatures if math.isfinite(value)]
         return sum(finite) / len(finite) if finite else None
 
@@ -193,7 +193,7 @@ _NOT_OURS: Final = (ValueError, KeyError, TypeError, AttributeError, OverflowErr
 
 @dataclass(frozen=True)
 class FolderEntry:
-    """The content of a folder: rows by table, or the `reason` why it has no run for the catalogue."""
+    """The catalogue's rows of a run folder, by table; without rows, `reason` says why there are none."""
 
     path: str
     fingerprint: str
@@ -207,7 +207,7 @@ class FolderEntry:
 
 
 def read_folder(path: str, fingerprint: str, *, whole: bool = False) -> FolderEntry:
-    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of its record."""
+    """Return the rows of a run folder, or the reason why it has none; `whole` reads every event of the record."""
     try:
         rows = _rows(Path(path), whole=whole).items()
         return FolderEntry(path, fingerprint, {name: [_storable(row) for row in own] for name, own in rows})
@@ -394,7 +394,7 @@ def _in_a_line(error: Exception, path: str) -> str:
 
 
 def issued_in(folder: str) -> list[Row]:
-    """Return a row for each certificate in a register. Raises `Refused` for a damaged or unreadable register."""
+    """Return a row for each certificate in a folder's register. Raises `Refused` if it is damaged or unreadable."""
     register = Register(Path(folder)).read_lines()
     rows = []
     for number, standing in register.standings.items():

@@ -1,9 +1,9 @@
 """Questions to the catalogue, and their answers as tables.
 
 A question consists of words KEY=VALUE, such as `unit=17-042 meter=MY53200001 after=2026-05-03 simulated=no`.
-A run must satisfy all of them. `!=` selects every other value, including unknown ones. Sizes and times also
-accept `<`, `<=`, `>` and `>=`. In a value `*` matches any text; the value `none` matches values that were not
-recorded. `after=2026-05-03` means from the beginning of that day (UTC) on, `before=` until its beginning.
+A run must satisfy all of them. `!=` selects every other value, including unknown ones. Keys of numbers and times
+also accept `<`, `<=`, `>` and `>=`. In a value `*` matches any text; `none` matches values that were not recorded.
+`after=2026-05-03` means from the beginning of that day (UTC) on, `before=` until its beginning.
 Values are passed to the database as parameters, never as SQL text.
 """
 
@@ -185,7 +185,7 @@ def _time(fixed: str | None = None) -> Build:
 
 
 def moment(text: str) -> datetime:
-    """Return an ISO 8601 time, or the beginning of a day, in UTC without a zone. Raises `ValueError`."""
+    """Return an ISO 8601 time or the beginning of a day in UTC, without a zone; otherwise raise `ValueError`."""
     try:
         when = datetime.fromisoformat(text)
         return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
@@ -290,7 +290,7 @@ class AnswerTable:
         return [dict(zip(self.columns, map(_in_json, row), strict=True)) for row in self.rows]
 
     def result(self, query: Sequence[str], of: str) -> AskResult:
-        """Return the table as the answer to a question."""
+        """Return the table as the result object of the question `query`; `of` is the kind of its rows."""
         return AskResult(query=list(query), of=of, count=len(self), rows=self.mappings())
 
     def write_csv(self, file: Path) -> None:
@@ -313,7 +313,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return the runs of a question or what they used, by the kind `of` (see `KINDS`). Raises `Refused`."""
+    """Return what `of` names (a key of `KINDS`) for the runs that satisfy a question. Raises `Refused`."""
     if of not in KINDS:
         raise Refused(f"--of {of}: choose from {', '.join(KINDS)}")
     statement = KINDS[of](condition_of(query))

@@ -1,6 +1,6 @@
 """The catalogue's database, SQLite or PostgreSQL: location, tables, and rebuilding of old tables.
 
-Values that were not recorded are NULL; times are UTC; sizes are SI with the unit in the name. A row's key is
+Values that were not recorded are NULL; times are UTC; `limit_g` and `delta_g` are in local g. A row's key is
 derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
 programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row by
 row.
@@ -152,8 +152,8 @@ CALIBRATIONS: Final = Table(
 )
 """Results of `calibrate.json`: `vector` (12,) in `unit`/g, and `covariance` (12, 12).
 
-`gravity_u` is the relative u of `g_m_s2`, which `covariance` does not include. `u_meters` (12,) is the part of u
-due to errors that the same meters repeat. `of_record` states whether the result names the present head of the
+`covariance` does not include `gravity_u`, the relative standard uncertainty of `g_m_s2`. `u_meters` (12,) is the
+part of u that recurs with the same meters. `of_record` states whether the result names the present head of the
 record; it is NULL if the result names no head.
 """
 
@@ -250,8 +250,8 @@ _WRITES: Final = "writes"
 class Catalogue:
     """An open catalogue. `where` is its file or address, without a password; `engine` connects to the database.
 
-    `sync` is the command that makes it from runs, as a shell takes it. `renewed` is a sentence on the rebuilding of
-    an older catalogue, otherwise empty.
+    `sync` is the shell command that fills the catalogue from run folders. `renewed` is a sentence on the
+    replaced tables of an older catalogue; it is empty if none were replaced.
     """
 
     engine: Engine
@@ -272,7 +272,7 @@ class Catalogue:
 
     @contextmanager
     def writing(self) -> Iterator[Connection]:
-        """Yield a connection whose changes are committed together at the end. Programs write in turn."""
+        """Yield a connection whose changes are committed together at the end; one program writes at a time."""
         writer = self.engine.execution_options(**{_WRITES: True})
         with _refusing(self), writer.begin() as connection:
             if not self.is_file:
@@ -297,7 +297,8 @@ def open_catalogue(
 
     None means the catalogue that TRIAXIAL_BENCH_CATALOGUE names, else `catalogue.sqlite` in the user's cache
     folder. A missing catalogue is created, unless `existing` is True. With `renew`, tables of an older version are
-    replaced by empty ones, for `bench.catalogue.sync` to fill. Raises `Refused` with the reason and the remedy.
+    replaced by current ones, which `bench.catalogue.sync` then fills; rows of vanished folders stay. Raises
+    `Refused` with the reason and the remedy.
     """
     named = str(where or os.environ.get(VARIABLE) or cache_folder(FILE))
     import sqlalchemy

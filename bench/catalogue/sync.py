@@ -3,7 +3,7 @@
 The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
 processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
 simultaneous syncs lose nothing. A row's key is derived from the object that the row describes. A folder that
-was moved or renamed therefore gives the same run. A copy is reported, and counts once with the original.
+was moved or renamed therefore gives the same run. A copy of a folder is reported, and its run is counted once.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ MOST_IN: Final = 5000
 
 @dataclass
 class Synced:
-    """Counts of folders in a sync; `problems` gives the reason for unusable folders and damaged records."""
+    """Counts of folders in a sync; `problems` maps folders without a usable run or record to the reason."""
 
     added: int = 0
     changed: int = 0
@@ -87,7 +87,7 @@ def sync(
 ) -> Synced:
     """Synchronise a catalogue with the run folders below `folders`, at any depth; return the counts.
 
-    `whole` reads every event of the records that were never read fully. `processes` is the number of worker
+    With `whole`, each record that was never read fully is read event by event. `processes` is the number of worker
     processes, by default the number of cores. Raises `Refused` if a folder cannot be read or the database fails.
     """
     roots = _roots(folders)
@@ -394,10 +394,10 @@ class WalkResult:
 
 
 def walk(places: Iterable[Place], now_ns: int, most: int | None = None) -> tuple[WalkResult, list[Place]]:
-    """Walk folders that are or contain run folders, at any depth; symbolic links below them are not followed.
+    """Find the run folders at and below `places`; return them, and the folders that were not yet entered.
 
-    Folders inside run folders, and hidden folders, are not entered. As soon as more than `most` folders
-    remain, the walk ends; the remaining folders are returned too, for another walk in any process.
+    The walk does not enter run folders' own folders, hidden folders, or symbolic links below `places`. It ends
+    early when more than `most` folders wait; another walk, in any process, can then continue with them.
     """
     seen, waiting = WalkResult(), deque(places)
     while waiting and (most is None or len(waiting) <= most):

@@ -76,12 +76,12 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return the due dates of the units that a question selects, earliest first, and units without a date.
+    """Return the due dates of the selected units and their instruments, earliest first, and units without a date.
 
-    `limit_g` is the error allowed, by default the limit of each unit's last verification. `interval_days`
-    applies to units whose history is too short. `before` (ISO 8601) leaves out units that are due on that day
-    or later. Due dates of many units are computed by `processes` worker processes, by default one for each
-    core. Raises `Refused` for an invalid question.
+    `limit_g` is the permitted error (g) of a measurement of 1 g, by default the limit of each unit's last
+    verification. If a unit's history is too short to show drift, `interval_days` determines its date. `before`
+    (ISO 8601) leaves out what is due on that day or later. `processes` worker processes compute the dates of many
+    units, by default one for each core. Raises `Refused` for an invalid question.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"
@@ -216,8 +216,9 @@ def unit_history(
 ) -> UnitResult:
     """Return the history of a unit, named by its serial number or by type and serial number.
 
-    `limit_g` is the error allowed, by default the limit of its last verification. `interval_days` applies if the
-    history is too short. Raises `Refused` if no unit or several have that name.
+    `limit_g` is the permitted error (g) of a measurement of 1 g, by default the limit of the last verification.
+    `interval_days` determines the due date if the history is too short to show drift. Raises `Refused` if no unit
+    or several have that name.
     """
     interval = _checked(limit_g, interval_days)
     name = _name_of(catalogue, unit)
@@ -257,9 +258,9 @@ def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
 
 
 def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool, list[str]]:
-    """Return the comparable calibrations of a unit, whether they are simulated, and notes on any left out.
+    """Return the comparable calibrations of a unit, whether all are simulated, and notes on those left out.
 
-    The scale factors are per local g of the last calibration.
+    All scale factors refer to the local g of the last calibration.
     """
     kept = coefficient_table(catalogue, [f"unit={name}"])
     notes = [f"without {words}" for words in kept.left_out]
@@ -300,7 +301,7 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg| (local g) in the last verification of the runs that `query` selects, or None."""
+    """Return the limit of |Δg| (local g) in the last verification of the selected runs that states one, or None."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)

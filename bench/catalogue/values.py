@@ -34,11 +34,11 @@ class CoefficientTable:
     """The calibrations that a question selects, oldest first; those without a date come first.
 
     `path`, `unit`, `unit_type`, `bench`, `signal_unit` (n,) are texts, None if not recorded; `when` (n,) is
-    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients in `signal_unit` per g = `g_m_s2`
-    (n,), biases in `signal_unit`. `gravity_u` (n,) is the relative u of this g. `covariance` (n, 12, 12) is the
-    combined covariance, which does not include `gravity_u`. `u_meters` (n, 12) is the part of u from errors that
-    the same meters repeat, NaN if not stated. `simulated` (n,) is False only for runs recorded as real. `left_out`
-    states in sentences which runs of the question are omitted.
+    datetime64 in UTC, NaT if not recorded. `vector` (n, 12) are the coefficients: scale factors in `signal_unit`
+    per g, biases in `signal_unit`. This g is `g_m_s2` (n,), with the relative standard uncertainty `gravity_u`
+    (n,). `covariance` (n, 12, 12) is the combined covariance without the part from `gravity_u`. `u_meters` (n, 12)
+    is the part of u that recurs with the same meters, NaN if not stated. `simulated` (n,) is False only for runs
+    recorded as real. The sentences in `left_out` say which selected runs are omitted.
     """
 
     path: Texts
@@ -59,21 +59,21 @@ class CoefficientTable:
         return len(self.path)
 
     def of(self, mask: Mask) -> CoefficientTable:
-        """Return the calibrations in a mask (n,)."""
+        """Return the calibrations that a mask (n,) selects."""
         arrays = {name: value[mask] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)  # type: ignore[arg-type]
 
     def per(self, g_m_s2: float, gravity_u: float) -> CoefficientTable:
         """Return the calibrations with scale factors in unit/g, where 1 g is `g_m_s2` (m/s²).
 
-        `gravity_u` is the relative standard uncertainty of that g. The covariance then includes the errors of both
-        values of g, except for calibrations with the same g.
+        `gravity_u` is the relative standard uncertainty of `g_m_s2`. If a calibration refers to another g, its new
+        covariance includes the uncertainties of both values of g.
         """
         both = np.where(self.g_m_s2 == g_m_s2, 0.0, np.hypot(self.gravity_u, gravity_u))
         return self._elsewhere(g_m_s2, gravity_u, both)
 
     def per_standard_g(self) -> CoefficientTable:
-        """Return the calibrations with scale factors in unit/g for standard g, which is exact everywhere."""
+        """Return the calibrations with scale factors in unit/g for standard g, which has no uncertainty."""
         return self._elsewhere(STANDARD_GRAVITY, 0.0, self.gravity_u)
 
     def _elsewhere(self, g_m_s2: float, gravity_u: float, both: Floats) -> CoefficientTable:
@@ -93,8 +93,8 @@ class CoefficientTable:
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
     """Return the calibrations of the runs that a question selects.
 
-    Runs with a vanished folder, a damaged record, or a result of another record are omitted and reported in
-    `left_out`. Raises `Refused` for an invalid question.
+    Runs are omitted, and reported in `left_out`, if the folder vanished, the record is damaged, or the result
+    belongs to another record. Raises `Refused` for an invalid question.
     """
     asked = condition_of(query)
     believed = and_(
@@ -165,7 +165,7 @@ MOST_COMPARED: Final = 400
 
 
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
-    """Return the comparable calibrations of a table, a mask (n,) of them, and notes on the others.
+    """Return the comparable calibrations of a table, the mask (n,) that selects them, and notes on the others.
 
     A calibration is comparable if unit, bench and date are known and its covariance is complete. Raises `Refused`
     if there are none, or if simulated and real runs or different signal units are mixed.
@@ -231,10 +231,11 @@ def _regular(table: CoefficientTable) -> Mask:
 
 
 def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
-    """Compare benches by the units that several of them measured.
+    """Compare benches by the units that at least two of them measured.
 
-    The errors that calibrations share (meters, K2 and K3 of a block) are read from the results in their
-    folders. Raises `Refused` or `CalibrationError` if there are too few or too many calibrations to compare.
+    Errors common to several calibrations (of the same meters, of K2 and K3 of the same block) are read from the
+    results in the run folders. Raises `CalibrationError` if no unit joins two benches, `Refused` for too many
+    calibrations and as `measured_of`.
     """
     measured, known, notes = measured_of(table)
     paths = table.path[known]

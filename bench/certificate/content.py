@@ -65,10 +65,10 @@ class Values:
 
 @dataclass(frozen=True)
 class Condition:
-    """A quantity that influences the calibration, and its range `low` to `high` during the run, in `unit`.
+    """A quantity that influences the calibration, with its range during the run, `low` to `high`, in `unit`.
 
-    `key` is the key of the quantity's name in `words.yaml`; `about`, such as the supply rail, fills the blank
-    in the name. `u` is the standard uncertainty of the quantity, None if only the range is known. `source`
+    `key` is the key of the quantity's name in `words.yaml`; `about` fills the blank in that name, for example with
+    the supply rail. `u` is the standard uncertainty of the quantity, None if only the range is known. `source`
     names the sensor or the estimate behind the values.
     """
 
@@ -102,8 +102,9 @@ class Instrument:
 class Contribution:
     """A source of uncertainty that does not show in the scatter of the readings.
 
-    `most_in` names the coefficient to whose u the source contributes most, and `u` (in `unit`) is this
-    contribution. `prior` says that nobody stated the `size` for this bench.
+    `size` is the magnitude of the source in words. `most_in` names the coefficient to whose u the source
+    contributes the largest fraction, and `u` (in `unit`) is this contribution. If `prior` is True, `size` is the
+    program's assumption, because nobody stated it for this bench.
     """
 
     name: str
@@ -338,14 +339,14 @@ class Certificate:
 
 
 def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
-    """Return the statements of conformity: the overall one, which is the worst, and one for each point."""
+    """Return the overall statement of conformity, which is the worst of all, and the statement for each point."""
     points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
     missing = (Statement.NOT_COMPLETE,) if of.missing else ()
     return max((*points, *missing), key=list(Statement).index), points
 
 
 def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of voltmeters and head that had no valid certificate on the day of the run."""
+    """Return the names of voltmeters and heads without a valid certificate on the day of the run."""
     return tuple(
         one.name
         for one in found.instruments

@@ -1,4 +1,4 @@
-"""Compile a certificate from a run, a laboratory file and an order file; list what it lacks."""
+"""Compile a certificate from a run, a laboratory file and an order file; list the missing information."""
 
 from __future__ import annotations
 
@@ -140,10 +140,10 @@ def _missing(certificate: Certificate) -> Iterator[str]:
 def found_by(
     name: str, runs: Path, k: float, asked: VerdictOptions = NOTHING_ASKED, agreed: DecisionRule | None = None
 ) -> RunFindings:
-    """Evaluate a run with its own bench file and return the results; the coefficients' expanded U is `k` u.
+    """Evaluate a run with its own bench file; return the results, with U = `k` u of the coefficients.
 
-    `asked` are options of the verdict; `agreed` is the decision rule used if the record names none. Raises as
-    `certificate_of`.
+    `asked` are the user's options for the verdict. `agreed` is the decision rule if neither `asked` nor the
+    record names one. Raises as `certificate_of`.
     """
     (source,) = load_sources(Request([name], runs))
     run = source.run

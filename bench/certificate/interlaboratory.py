@@ -120,7 +120,7 @@ def seal_of(result: str) -> str:
 
 
 def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
-    """Return the plan with the seals of the results `given` by code. Raises `Refused` for a sealed code."""
+    """Return the plan with seals of the results `given` by code. Raises `Refused` if a code has another seal."""
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
             raise Refused(
@@ -137,13 +137,12 @@ def evaluate_kit(
     g_m_s2: float | None = None,
     checks: Mapping[str, Sequence[str]] | None = None,
 ) -> KitResult:
-    """Return the evaluation of results, given by code: files of `calibrate --json`, or DCCs (XML, PDF) of any
-    program.
+    """Return the evaluation of the results `given` by code.
 
-    `g_m_s2` is the local gravity (m/s²) of certificates that do not state it. `checks` are the monitor runs
-    at each stop, by code, in order of time. If the block changed by more than u between monitor runs or
-    between the pilot's stops, the u of each difference is widened. Raises `Refused` if a seal is missing or
-    broken, or a stop has no result.
+    A result is a file of `calibrate --json`, or a DCC (XML, PDF) of any program. `g_m_s2` is the local gravity
+    (m/s²) of certificates that do not state it. `checks` are the monitor runs at each stop, by code, in order of
+    time. If the block changed significantly between monitor runs or between the pilot's stops, the u of each
+    difference is widened. Raises `Refused` if a seal is missing or broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -264,7 +263,7 @@ def kit_planned(request: PlanKit) -> Kit:
 
 
 def kit_sealed(request: SealKit) -> Kit:
-    """Note in the plan the seal (SHA-256) of each result, given as CODE=FILE; return the plan.
+    """Write the seal (SHA-256) of each result, given as CODE=FILE, into the plan; return the plan.
 
     Raises `Refused` for an unknown code, or for one that is sealed with another result.
     """
@@ -277,8 +276,8 @@ def kit_sealed(request: SealKit) -> Kit:
 def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    The nine intrinsic numbers are compared. Results and checks are given as CODE=FILE. Raises `Refused` if a
-    seal is missing or broken, or a stop has no result.
+    The nine numbers that do not depend on the mounting are compared. Results and checks are given as CODE=FILE.
+    Raises `Refused` if a seal is missing or broken, or a stop has no result.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

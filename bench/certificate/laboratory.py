@@ -81,7 +81,7 @@ class OnCertificate:
     """A mark for a field of a laboratory or order file: the certificate shows the field under its own name.
 
     `page` is the page of the PDF. `otherwise` is the key in `words.yaml` of a text to print if the file does
-    not state the field. A row with `otherwise` is always printed, before the rows without.
+    not state the field. Rows with `otherwise` are always printed, and come first.
     """
 
     page: Literal["front", "method", "conditions"]

@@ -1,4 +1,4 @@
-"""The life cycle of a certificate: draft, issue, amendment, revocation, copies, check of the register."""
+"""The life cycle of a certificate: draft, issue, amendment, revocation; copies and checks of the register."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Desk:
-    """The inputs for an issue: loaded files, name of the authorising person, key, schemas and clock."""
+    """The inputs for issuing certificates: loaded files, authorising person, signatory, schemas and clock."""
 
     runs: Path
     laboratory_file: Document
@@ -107,7 +107,7 @@ def _digests(bodies: Bodies) -> dict[str, str]:
 
 
 def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
-    """Issue a certificate for each run in turn; yield the outcomes. A failure stops no other run."""
+    """Issue a certificate for each run in turn; yield the outcomes. A failed run does not stop the others."""
     _ = desk.order  # mistakes in this file concern every run
     person, register = desk.person(), Register(desk.laboratory.register_folder)
     for name in names:
@@ -277,7 +277,7 @@ def _body(certificate: Certificate, xml: bytes) -> bytes:
 def signed(
     bodies: Bodies, certificate: Certificate, signatory: Signatory | None, now: datetime
 ) -> dict[str, bytes]:
-    """Return the files of a certificate by name, signed if there is a signatory: the XML, then the PDF with it."""
+    """Return the files of a certificate by name, signed if there is a signatory; the PDF contains the XML."""
     number = certificate.number
     if signatory is None:
         return {f"{number}.{suffix}": body for suffix, body in bodies.items()}
@@ -338,7 +338,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return an open register, for one number or all; with `runs`, each certificate is made again and compared."""
+    """Return a register's content for one number or all; with `runs`, remake each certificate and compare it."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []

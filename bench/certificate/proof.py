@@ -60,7 +60,7 @@ class Writer:
         return {"kind": "pairs", "rows": told}
 
     def stated(self, page: str) -> list[tuple[str, list[Cell]]]:
-        """Return a page's rows from laboratory and order files; those always printed come first."""
+        """Return a page's rows from laboratory and order files; rows that are always printed come first."""
         fields = [one for one in self.certificate.stated if one.place.page == page]
         rows: list[tuple[str, list[Cell]]] = []
         for one in sorted(fields, key=lambda field: not field.place.otherwise):
@@ -82,7 +82,7 @@ class Writer:
     ) -> Block:
         """Return a table block; a `whole` table stays on one page.
 
-        For each column, `align` has "l" or "r", and `columns` its width, "auto" or a share.
+        For each column, `align` has "l" or "r", and `columns` has the width: "auto" or a fraction.
         """
         widths = [str(width) for width in columns]
         return {
@@ -107,7 +107,10 @@ def symbol(name: str) -> dict[str, str]:
 
 
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
-    """Return the cells of a result, in `unit` of size `size`: name, value, U, k, degrees of freedom, unit."""
+    """Return a result's cells: name, value, U, k, degrees of freedom, unit.
+
+    `unit`, if given, replaces the result's unit and is `size` times as large; value and U are divided by `size`.
+    """
     U = value.U / size
     freedom = f"> {_MANY_DOF}" if value.dof > _MANY_DOF else fixed(value.dof, 0 if value.dof >= 10 else 1)
     exact = value.value == 0.0 and U == 0.0

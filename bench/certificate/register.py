@@ -2,7 +2,7 @@
 
 Writing the line issues the certificate. Before that, the certificate's files have temporary names; they are
 renamed afterwards, or when the register is next opened. After an interruption, a number therefore exists with
-all its files or not at all. Only one program at a time has the register open.
+all its files or not at all. Only one program at a time has the register open for writing.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class Register(Chain):
         return wrong
 
     def catch_up(self) -> None:
-        """Read the lines added since; finish interrupted issues. Raises `Refused` for a changed line."""
+        """Read the lines that others added; finish interrupted issues. Raises `Refused` for a damaged register."""
         self.read_lines()
         for part in self.folder.glob(f"*{_PART}"):
             self._finish(part)
@@ -133,5 +133,8 @@ class Register(Chain):
 
 
 def opened(folder: Path, known: Register | None = None) -> AbstractContextManager[Register]:
-    """Return the open register of a folder (or `known`), created if missing. Raises `Refused` if it cannot open."""
+    """Return a context manager that locks and yields the register of a folder, or `known`.
+
+    A missing folder is created. Raises `Refused` if another program has locked the register, or if it is damaged.
+    """
     return chain.opened(known or Register(folder))

@@ -48,9 +48,9 @@ class Unsigned(NotIntact):
 
 @dataclass(frozen=True)
 class SignedXml:
-    """A signed XML: its canonical `content` without comments and signature, and the signer's certificate
-    `chain`.
+    """A signed XML and its signer.
 
+    `content` is the canonical form without comments and signature. `chain` starts with the signer's certificate.
     `signed_at` is the time by the signer's clock. `comments` counts the comments in the file, which are not signed.
     """
 
@@ -95,7 +95,7 @@ class _Key:
 
 
 def check_xml(document: bytes) -> SignedXml:
-    """Verify the signature of a document; return signed content and signer, who need not be trusted.
+    """Verify the signature of a document; return its signed content and signer; trust is not checked.
 
     Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
     cover the whole document or has unsigned parts, or if anything signed was changed.
@@ -125,7 +125,7 @@ def check_xml(document: bytes) -> SignedXml:
 
 
 def unsigned_content(document: bytes) -> bytes:
-    """Return the canonical form of an unsigned document, without comments. Raises `NotIntact` as `_read`."""
+    """Return an unsigned XML in canonical form, without comments. Raises `NotIntact` if it is no certificate."""
     return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
 
 
@@ -286,7 +286,7 @@ def sign_pdf(body: bytes, signatory: Signatory, now: datetime, reason: str, plac
 
 
 def check_pdf(file: bytes) -> SignedPdf:
-    """Verify the signature of a PDF; return the signer, who need not be trusted.
+    """Verify the signature of a PDF; return the signer; trust is not checked.
 
     Raises `Unsigned` if there is no signature. Raises `NotIntact` if there are several, if the signature does not
     cover every byte except itself, if anything was appended after it, or if anything signed was changed.

@@ -79,9 +79,10 @@ class Findings:
     not_proved: list[str] = field(default_factory=list)
 
     def why_not_trusted(self, trusted: Sequence[Certificate] | None) -> str | None:
-        """Return why a signer is not in `trusted`; "" if all signers are.
+        """Return why a signer is not trusted; "" if all signers are trusted.
 
-        None without `trusted`, or if no signature could be read.
+        `trusted` are certificates of signers or authorities. The result is None without `trusted`, or if a signed
+        certificate's signatures could not be read.
         """
         if trusted is not None and self.unsigned:
             return "nobody signed it"
@@ -412,10 +413,11 @@ def _as_good_as(found: RunFindings, shown: ShownValues) -> bool:
 def against_register(
     found: Findings, number: str, file: Path, content: bytes, folder: Path | None
 ) -> RegisterSays | None:
-    """Compare a certificate file's `content` with the register's entry for its number; return the state there.
+    """Compare a certificate file's `content` with the register's entry for `number`; return the entry's state.
 
-    `folder` is the register's folder; None means a register in the folder of `file`, if it has the number. Return
-    None if no register says anything. Raises `Refused` for a register that is damaged or cannot be read.
+    `folder` is the register's folder. If it is None, a register in the folder of `file` is used; the result is None
+    if that register is missing or lacks the number. Raises `Refused` for a register that is damaged or cannot be
+    read.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -41,8 +41,8 @@ class Settings:
     """The settings of a panel for the runs in a folder.
 
     `address` is the public address of a TLS proxy in front of the panel, such as https://lab. `laboratory` is a
-    laboratory file, whose register holds the certificates of the runs. `catalogue` is the catalogue shown on the
-    pages on units, empty for none.
+    laboratory file, whose register holds the certificates of the runs. `catalogue` is the file or URL of the
+    catalogue that the pages on units show, empty for none.
     """
 
     runs: Path
@@ -89,7 +89,10 @@ def is_loopback(host: str) -> bool:
 
 
 class Role(StrEnum):
-    """The role of a person, with the rights of those before it: look and stop; carry out; take control by force."""
+    """The role of a person; each role has the rights of the roles before it.
+
+    A viewer looks at runs and stops them, an operator carries them out, a supervisor takes control by force.
+    """
 
     VIEWER = "viewer"
     OPERATOR = "operator"
@@ -225,7 +228,7 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return an ASGI `receive` without the body of a GET or HEAD request, which an event stream reads too late."""
+    """Return an ASGI `receive` that drops the body of a GET or HEAD request, as event streams read it too late."""
 
     async def dropped() -> Message:
         got = await receive()
@@ -269,8 +272,8 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `path` is the path of the file. `remedy` ends the error message on a damaged file: what to do if there is no
-    copy of it.
+    `path` is the path of the file. `remedy` ends the error message on a damaged file; it says what to do without
+    a copy of the file.
     """
 
     def __init__(
@@ -300,7 +303,7 @@ class KeptList:
         return list(self._rows)
 
     def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
-        """Rename the file if reading it, or `check` of its rows, raises `RecordError`. Raises `OSError`."""
+        """Rename a damaged file, for which reading or `check(rows)` raises `RecordError`. Raises `OSError`."""
         with self._lock:
             try:
                 check(self.rows())
@@ -363,7 +366,7 @@ class Access:
     # --- tokens -------------------------------------------------------------------------------------
 
     def new_token(self, name: str, role: Role) -> str:
-        """Create a token, shown once. Raises `RecordError` for a second one, and with a register of persons."""
+        """Return a new token. Raises `RecordError` if `name` has one, or a register of persons exists."""
         self._refuse_own_tokens("change NAME --token")
         name = checked_name(name)
         token = secrets.token_urlsafe(32)
@@ -388,7 +391,7 @@ class Access:
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Delete a token and end its sessions. Raises `RecordError` without it, and with a register of persons."""
+        """Delete a token; end its sessions. Raises `RecordError` without one, or with a register of persons."""
         self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]

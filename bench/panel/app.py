@@ -247,7 +247,8 @@ OPEN_WIRE: Final = (
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
     """Serve a panel until it is stopped; `tell` receives its address, a one-time link and network notes.
 
-    Raises `RecordError` if another panel serves the folder, nobody could sign in, or the port is not available.
+    Raises `RecordError` if another panel serves the folder, if the address is not valid, if a panel on the network
+    has no token with which to sign in, or if the port is not available.
     """
     import uvicorn
 
@@ -279,7 +280,7 @@ def serve(settings: Settings, tell: Callable[[str], None]) -> None:
 
 
 def config_of(app: ASGIApp) -> uvicorn.Config:
-    """Return the server configuration: `Connection` for connections, `OncePerMinute` for warnings."""
+    """Return the server configuration, with `Connection` as protocol and `OncePerMinute` as log filter."""
     import uvicorn
 
     from bench.panel.shared import LOG
@@ -372,7 +373,7 @@ def is_serving(runs: Path) -> bool:
 
 
 def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
-    """Return a one-time link for a person to the panel of a folder. Raises `Refused` if there is no panel."""
+    """Return a one-time link for a person to the panel of a folder. Raises `Refused` if no panel serves it."""
     if not is_serving(runs):
         raise Refused(
             f"{runs}: no panel serves this folder; '{_panel('', runs)}' starts one and prints its link"

@@ -1,4 +1,4 @@
-"""The form of a bench file: groups of fields, made from the models of its sections; mistakes at fields."""
+"""The form of a bench file: groups of fields made from the models of the file's sections, and its mistakes."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ Values = Mapping[str, str]
 class BenchField:
     """A field of the form: an input whose name is the dotted path of its value in the bench file.
 
-    `choices` are pairs (value, words), empty for a text field; `shows` says whether the value decides which other
+    `choices` are pairs (value, words), empty for a text field. If `shows` is True, the value decides which other
     fields exist. A field that is not `required` is folded away while it is empty.
     """
 
@@ -87,7 +87,7 @@ class BenchField:
 class Group:
     """A section of the form with its fields, or a row of a table in a section.
 
-    `section` is the model of a section of which empty fields are folded away; None for other sections.
+    `section` is the model of a section whose empty fields are folded away; it is None for other groups.
     """
 
     title: str
@@ -189,7 +189,10 @@ def _number_field(row: type[BaseModel], at: Place, values: Values) -> BenchField
 
 
 def number_of_rows(at: Place, values: Values) -> int:
-    """Return the number of rows of a table: as chosen in the form, else at least 1 if its section has values."""
+    """Return the number of rows of a table: the number chosen in the form, else the number of rows with values.
+
+    A section with values shows at least one row.
+    """
     chosen = values.get(f"form:{dotted(at)}", "")
     if chosen.isdecimal() and len(chosen) < 3:
         return min(int(chosen), MOST_ROWS)
@@ -284,10 +287,10 @@ def within(at: Place, values: Values) -> list[str]:
 def fields_in(
     model: type[BaseModel], at: Place, skip: frozenset[str] = frozenset(), default: Any = None
 ) -> Iterator[BenchField]:
-    """Yield the field for each value of a model and of its required sections; `at` is the model's path in the file.
+    """Yield a field for each value of a model and of its required sections; `at` is the model's path in the file.
 
-    Tables and optional sections, such as certificates, have no field here. `default` is the section that applies if
-    the file has none. Coverage factor and degrees of freedom follow the value that they qualify.
+    Tables and optional sections, such as certificates, get no field here. `default` is the section that applies if
+    the file lacks it. In a section, coverage factor and degrees of freedom come last.
     """
     model.model_rebuild()
     for name, info in sorted(model.model_fields.items(), key=lambda item: item[0] in {"k", "dof"}):
@@ -420,7 +423,7 @@ def first_sentence(model: type[BaseModel]) -> str:
 
 
 def values_of(data: Any) -> dict[str, str]:
-    """Return texts by dotted path: a bench file's values, its form of gravity, its number of meters."""
+    """Return texts by dotted path: a bench file's values, the form of its gravity, its number of voltmeters."""
     values: dict[str, str] = {}
 
     def look(part: Any, at: Place) -> None:
@@ -464,11 +467,11 @@ def _form_of(written: Any) -> str:
 
 
 def completed(values: Values, before: Values) -> dict[str, str]:
-    """Return the typed values, completed with examples for newly chosen drivers.
+    """Return the typed values; a newly chosen driver gets the values of its example.
 
-    Fields that the form did not show yet get the examples, but resources stay empty. `before` are the values of
-    the file. A single voltmeter becomes a scanning one; an added voltmeter is a copy of the first one, and
-    measures the next signal.
+    Only fields that the form did not show yet get them, and resources stay empty. `before` are the values of the
+    file. A single voltmeter gets a driver that scans the signals. An added voltmeter gets the driver, range and
+    interface of the first one, and the next signal.
     """
     full = dict(values)
     number = number_of_meters(full)
@@ -502,10 +505,10 @@ def _exemplify(values: dict[str, str], before: Values, name: str) -> None:
 
 
 def still_of_example(values: Values, example: Values, groups: Iterable[Group]) -> frozenset[str]:
-    """Return the names of the fields that the laboratory must state itself and that have the value of `example`.
+    """Return the names of fields that the laboratory must state, but that still have the value of `example`.
 
-    These are all values of an `own` group, and the resources of the instruments; `example` are the texts of the
-    bench file from which the form began.
+    The laboratory must state all values of an `own` group, and the resources of the instruments. `example` are the
+    texts of the bench file from which the form began.
     """
     return frozenset(
         one.name
@@ -521,7 +524,7 @@ def still_of_example(values: Values, example: Values, groups: Iterable[Group]) -
 
 @dataclass
 class Placed:
-    """The mistakes of a bench file: by field, by group, and those of neither."""
+    """The mistakes of a bench file: `at` by field or group, `elsewhere` those that belong to neither."""
 
     at: dict[str, list[str]] = field(default_factory=dict)
     elsewhere: list[FileMistake] = field(default_factory=list)
@@ -537,7 +540,7 @@ _QUOTED: Final = re.compile(r"'([^']+)'")
 
 
 def placed(mistakes: Iterable[FileMistake], groups: Iterable[Group]) -> Placed:
-    """Return the mistakes by field or, without a field, by group; those of neither are `elsewhere`."""
+    """Assign each mistake to its field, else to its group, else to `elsewhere`; return the assignment."""
     groups = list(groups)
     fields = [one.name for group in groups for one in group.fields]
     tables = {dotted(one.at): one.name for group in groups for one in group.fields if one.rows}

@@ -26,7 +26,7 @@ LARGEST_PAGE: Final = 64 * 2**20
 
 
 class RunsFolder:
-    """The runs in a folder. Links and paths outside the folder are excluded."""
+    """The runs in a folder; symbolic links and paths out of the folder are excluded."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -72,7 +72,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 
 class Certificates:
-    """A laboratory's certificates, read-only; none without its file. Raises `FileMistakes` for an invalid file."""
+    """A laboratory's certificates, read-only; none without its file. Raises `FileMistakes` if that is invalid."""
 
     def __init__(self, laboratory: Path | None) -> None:
         self._folder = None if laboratory is None else load_laboratory(laboratory).register_folder
@@ -80,7 +80,10 @@ class Certificates:
         self._register: Register | None = None
 
     def of(self, run: Run) -> dict[str, NumberStatus]:
-        """Return the certificates of a run's present record by number. Raises `Refused` for a tampered register."""
+        """Return the certificates of the record behind a run's result, by number.
+
+        Raises `Refused` for a damaged register.
+        """
         head = _head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
@@ -147,7 +150,7 @@ class RunRow:
         return self.state in _GOES_ON
 
     def fits(self, words: tuple[str, ...], wanted: Mapping[str, str]) -> bool:
-        """Return whether the row contains all `words` and has the non-empty values `wanted` by column."""
+        """Return whether the row contains all `words` (casefolded) and the non-empty texts `wanted`, by column."""
         if any(text and getattr(self, column) != text for column, text in wanted.items()):
             return False
         told = " ".join((self.name, self.unit, self.bench, self.operator, self.procedure, self.created))
@@ -165,7 +168,7 @@ class RunsTable:
         self._kept: dict[str, tuple[Stamp, RunRow]] = {}
 
     def rows(self) -> list[RunRow]:
-        """Return all rows; the row of a run that takes too long to read has only data of the manifest."""
+        """Return all rows; those of runs not read within `LONGEST_LOOK_S` have only data of the manifest."""
         until_s = self._clock.now_s() + LONGEST_LOOK_S
         found = []
         for run in self._folder.runs():

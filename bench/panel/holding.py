@@ -1,4 +1,4 @@
-"""Control of a run, held by one person or nobody. A journal in the run's folder records each change.
+"""Control of a run: at most one person has it. A journal in the run's folder records each change.
 
 The journal is the only store of the state of control; the state therefore survives a kill of the server.
 Control changes only by the action of a person; it never expires.
@@ -51,7 +51,7 @@ WORDS: Final = {
 
 @dataclass(frozen=True)
 class Holding:
-    """Who controls a run: the holder (empty for nobody), `since` when, and by which deed (`how`).
+    """The state of control of a run: its `holder` (empty for nobody), `since` when, and `how` it was obtained.
 
     `asking` lists the persons who request control, in order; `denied` those whose last request was denied.
     """
@@ -73,7 +73,7 @@ class Holding:
         }
 
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
-        """Return the state of control after a line of the journal: `who` did `deed` `at` a time, to person `to`."""
+        """Return the state of control after the person `who` did `deed`, to the person `to`, at the time `at`."""
         match deed:
             case Deed.TAKEN | Deed.FORCED:
                 return self._held_by(who, at, deed)

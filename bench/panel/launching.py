@@ -70,7 +70,7 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
 
 
 def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
-    """Wait until `begun` is True; return False after 30 s. Raises `Refusal` with the output if the process ends."""
+    """Wait until `begun()` is True; return False after 30 s. Raises `Refusal` if the process ends before that."""
     clock = clock or SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
     while not begun():
@@ -115,8 +115,8 @@ MOST_AT_ONCE: Final = 2
 class WantedRun:
     """A requested run: the fields of `RunRequest` from the form, and the hashes of its files at the check.
 
-    Procedure and bench are absolute paths; `sha256` has the hashes of these files. A dry run is for practice:
-    a person answers its prompts. `queued` is the id of its queue item, empty for none.
+    Procedure and bench are absolute paths; `sha256` has the hashes of these files. If the requested run is a dry
+    run, a person answers its prompts for practice. `queued` is the id of its queue item, empty for none.
     """
 
     fields: Mapping[str, str | bool]
@@ -129,11 +129,11 @@ class WantedRun:
         return RunRequest(**{"procedure": "", **self.fields})  # type: ignore[arg-type]
 
     def hashed(self) -> WantedRun:
-        """Return the requested run with the present hashes of its files. Raises `Refusal` if one cannot be read."""
+        """Return a copy with the present hashes of the files. Raises `Refusal` if a file cannot be read."""
         return replace(self, sha256=self._hashes())
 
     def changed(self) -> bool:
-        """Return whether the files were changed since the check. Raises `Refusal` if one cannot be read."""
+        """Return whether the files changed since the check. Raises `Refusal` if a file cannot be read."""
         return dict(self.sha256) != self._hashes()
 
     def _hashes(self) -> dict[str, str]:
@@ -167,7 +167,7 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether the run may be started, even if the dry run ended at a prompt without a default answer."""
+        """Whether the run may be started; no dry run is needed if a prompt without default answer would stop it."""
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -241,7 +241,10 @@ class Wishes:
         self._folder = folder
 
     def new(self, wanted: WantedRun) -> WishFolder:
-        """Store a requested run and return its folder. Raises `Refusal` (429) if too many runs are being tried."""
+        """Store a requested run and return its folder; the oldest idle folders beyond `MOST_KEPT` are deleted.
+
+        Raises `Refusal` (429) if `MOST_AT_ONCE` requested runs are in their check or dry run already.
+        """
         self._folder.mkdir(mode=0o700, exist_ok=True)
         before = [one for one in self._folder.iterdir() if one.is_dir()]
         before.sort(key=lambda one: one.stat().st_mtime)
@@ -282,7 +285,7 @@ def arguments_of(request: RunRequest) -> Iterator[str]:
 
 
 def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
-    """Return the name of a run to be started. Raises `Refusal` if it is invalid or exists already."""
+    """Return the typed name of a run, else one of procedure and time. Raises `Refusal` if it cannot be used."""
     stem = re.sub(r"[^\w.+-]", "-", Path(wanted.request.procedure).stem)
     name = wanted.request.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     try:
@@ -295,7 +298,10 @@ def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
 
 
 def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
-    """Start a requested run called `name` in a separate process, and wait for its record. Raises `Refusal`."""
+    """Start a requested run called `name` in a separate process, and wait for its record.
+
+    Raises `Refusal` if a file changed after the check, if the run was started already, or if it does not begin.
+    """
     wanted = wish.wanted()
     if wanted.changed():
         raise Refusal(409, "procedure or bench file changed after the check; check them again")
@@ -315,7 +321,10 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run, by: Person) -> None:
-    """Resume a run for a person, or make its results, in a process of its own. Raises `Refusal`."""
+    """Resume a run for a person, or make its results, in a separate process.
+
+    Raises `Refusal` if a program is carrying out the run already, or if the process ends without effect.
+    """
     if is_being_written(run.folder):
         raise Refusal(409, "a program is carrying out this run now; follow it on the run's page")
     arguments = ["resume", str(run.folder.absolute()), f"--runs={_runs(run)}", f"--answers={ANSWERS}"]

@@ -52,7 +52,7 @@ def block_axes(installation: Installation, angle_rad: float) -> Floats:
 
 @dataclass
 class Sheet:
-    """A drawing: SVG elements in drawing order; each `kind` is a CSS class, each `more` further attributes."""
+    """A drawing: SVG elements in drawing order. In methods, `kind` is a CSS class, `more` further attributes."""
 
     shapes: list[str] = field(default_factory=list)
 

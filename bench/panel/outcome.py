@@ -30,7 +30,7 @@ class Change:
 
 @dataclass(frozen=True)
 class Whisker:
-    """A verification point in the picture: Δg at `x`, Δg ± U from `low` to `high`, `y` from the top."""
+    """A verification point in the picture: Δg at `x`, Δg ± U from `low` to `high`, `y` downwards from the top."""
 
     label: str
     value: str
@@ -69,9 +69,10 @@ class Outcome:
 
 
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s: float) -> Outcome:
-    """Return the outcome of a run that ended `age_s` ago: `alive` while its record is open, `finished` at its end.
+    """Return the outcome of a run that ended `age_s` seconds ago.
 
-    Results that are missing long after the end are not being computed: their program was stopped.
+    `alive` says whether a program still has the record open, `finished` whether the run reached its end. If results
+    are missing for long after the end, the state is "none", because the program that computed them was stopped.
     """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"

@@ -1,4 +1,4 @@
-"""Bench files and procedures to choose from: listed, offered, chosen, written if nobody else changed them."""
+"""Bench files and procedures: lists to choose from, reading, and writing if nobody else changed the file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ BEGINNING: Final = 65_536
 
 
 def choices(kind: str) -> dict[str, Path]:
-    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; own files replace shipped ones."""
+    """Return the files of a kind (`PROCEDURES`, `CONFIG`) by name; files of the user hide shipped ones."""
     here = Path()
     found = {file.stem: file for file in _yaml(shipped_folder(kind))}
     found |= {file.stem: file for file in _yaml(here / kind)}
@@ -63,7 +63,7 @@ def choices(kind: str) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return the procedure of this name; `next:RUN` is the one that a diagnosis proposes. Raises `Refusal`."""
+    """Return a procedure by name; `next:RUN` means the one that RUN's diagnosis proposes. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
@@ -74,7 +74,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return the bench file with this name or, for `next:RUN`, the bench file of this run. Raises `Refusal`."""
+    """Return a bench file by name; `next:RUN` means the one with which RUN was made. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))
@@ -107,7 +107,7 @@ def _beginning(file: Path) -> bytes:
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the working folder's files of a kind (`CONFIG`, `PROCEDURES`) by name, without links out of it."""
+    """Return the working folder's files of a kind (`CONFIG`, `PROCEDURES`) by name, except links out of it."""
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
     found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}

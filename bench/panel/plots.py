@@ -35,7 +35,7 @@ Rows = list[list[Any]]
 def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     """Return the numbers of all plots of a run as a JSON object, with null for a plot that the run lacks.
 
-    Member `previous` holds these plots for the unit's previous calibration, `trouble` a sentence on each
+    Member `previous` holds the same numbers for the unit's previous calibration, `trouble` a sentence on each
     unusable file.
     """
     trouble: list[str] = []
@@ -77,7 +77,7 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The points of the residual plots, and the time of each verification point by pass and point."""
+    """The points of the residual plots, and `times`, the time of each verification point by (pass, point)."""
 
     unit: str
     points: tuple[Numbers, ...]
@@ -250,7 +250,7 @@ def _diagnosed_rows(diagnosis: Numbers, name: str) -> Iterator[list[Any]]:
 
 
 def written(rows: Rows, title: str, form: str, *, simulated: bool) -> bytes:
-    """Return a table as CSV (`form` "csv"), which states numbers exactly, or as a workbook ("xlsx", 16 digits)."""
+    """Return a table as a CSV file (`form` "csv", exact numbers) or an Excel workbook ("xlsx", 16 digits)."""
     if form == "xlsx":
         from bench.exchange.forms import tables_workbook
 
@@ -270,6 +270,6 @@ def _cell(value: Any) -> Any:
 
 
 def sections_of(run: Run) -> Sequence[str]:
-    """Return the names of the plots for which the run has the result file."""
+    """Return the names of the plots whose result files the run has."""
     files = {"residuals": CALIBRATE_FILE, "delta-g": VERIFY_FILE, "diagnosis": DIAGNOSE_FILE}
     return [name for name, file in files.items() if is_plain(run.folder / file)]

@@ -45,7 +45,7 @@ LISTS: Final = {
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the table: a step's fields as a group, its nesting depth, and the part without fields."""
+    """A row of the table: a step's fields, its nesting depth, and `written`, the part shown as plain text."""
 
     group: Group
     depth: int
@@ -120,7 +120,7 @@ def _angles(body: Any, at: Place) -> Iterator[BenchField]:
 
 
 def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
-    """Return the texts of a procedure's fields (lists with commas) and the choices of the form, by name."""
+    """Return the text of each field of a parsed procedure, by name; a list has commas between its members."""
     written = values_of(data)
     values: dict[str, str] = {}
     for one in fields:
@@ -134,7 +134,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return a procedure with the values typed in its table; angles are rewritten last, in the chosen form."""
+    """Return a procedure's text with the values typed in its table, and its angles in the chosen form."""
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
 
@@ -176,14 +176,14 @@ def _as_steps(angles: Any) -> dict[str, str]:
 
 
 def with_copy(text: str, at: Place) -> str:
-    """Return a procedure in which a copy follows the step at the path `at`. Raises `Refusal` (409)."""
+    """Return a procedure with a copy of the step at path `at` after that step. Raises `Refusal` (409)."""
     lines = text.splitlines()
     _, first, end = _block(text, at)
     return _compared(text, [*lines[:end], *lines[first:end], *lines[end:]], at, times=2)
 
 
 def without_step(text: str, at: Place) -> str:
-    """Return a procedure without the step at the path `at` and the comments above it. Raises `Refusal` (409)."""
+    """Return a procedure from which the step at path `at` and its comments are removed. Raises `Refusal` (409)."""
     lines = text.splitlines()
     comments, _, end = _block(text, at)
     return _compared(text, [*lines[:comments], *lines[end:]], at, times=0)
@@ -238,7 +238,7 @@ _BESIDE: Final = re.compile(r"[\w+-][\w.+-]*")
 
 
 def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | None]:
-    """Return a procedure's mistakes, and the procedure without any; it may include files of its folder only."""
+    """Return a procedure's mistakes and, without any, the procedure; it may include only files of its folder."""
     beside = [
         FileMistake(
             0,

@@ -60,7 +60,7 @@ class QueueItem(_Row):
 
 
 class DayNote(_Row):
-    """A note of the day: `what` (`DUTY`, `OFF_DUTY`, `SWITCHED_ON`), its author and time, and its bench."""
+    """A note of the day: `what` (`DUTY`, `OFF_DUTY` or `SWITCHED_ON`), its author and time, and the bench."""
 
     what: str
     who: str
@@ -85,14 +85,14 @@ class DayQueue:
         return items[_index(items, item_id)]
 
     def add(self, items: Sequence[QueueItem]) -> None:
-        """Append items. Raises `Refusal` (409) for more than `MOST_ITEMS`."""
+        """Append items. Raises `Refusal` (409) if the queue would have more than `MOST_ITEMS`."""
         with self._changed() as queue:
             queue.extend(items)
             if len(queue) > MOST_ITEMS:
                 raise Refusal(409, f"the queue holds at most {MOST_ITEMS} units; remove those that are done")
 
     def move(self, item_id: str, by: int) -> None:
-        """Move an item one place up (`by` −1) or down (1), but not beyond the ends. Raises `Refusal` (409)."""
+        """Move an item up (`by` −1) or down (1), not beyond the ends. Raises `Refusal` (409) without the item."""
         with self._changed() as items:
             at = _index(items, item_id)
             items.insert(max(at + by, 0), items.pop(at))
@@ -103,13 +103,13 @@ class DayQueue:
             items[:] = [one for one in items if one.id not in ids]
 
     def change(self, item_id: str, **values: object) -> None:
-        """Set members of an item. Raises `Refusal` (409)."""
+        """Set members of an item. Raises `Refusal` (409) if it is not in the queue."""
         with self._changed() as items:
             at = _index(items, item_id)
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Note the name of an item's run before its start. Raises `Refusal` (409) if the item was begun already."""
+        """Store the name of an item's run before its start. Raises `Refusal` (409) if it was begun already."""
         with self._changed() as items:
             at = _index(items, item_id)
             item = items[at]
@@ -137,7 +137,7 @@ class DayQueue:
         return notes[-1] if notes and notes[-1].what == DUTY else None
 
     def switched_on(self) -> Mapping[str, DayNote]:
-        """Return, by bench, the latest note that the bench was switched on. Raises `RecordError`."""
+        """Return the latest note of switching on, for each bench. Raises `RecordError` for a damaged file."""
         return {one.bench: one for one in self._notes_read() if one.what == SWITCHED_ON}
 
     def put_aside(self) -> None:

@@ -43,14 +43,14 @@ FITS, LACK_OF_FIT, DOES_NOT_FIT = (
     message("lack of fit shown at 1 %"),
     message("the model does not fit the readings"),
 )
-"""What the test for lack of fit says of a calibration: nothing, u is widened, the coefficients are not accepted."""
+"""The outcomes of the test for lack of fit: no lack of fit; u is widened; the coefficients are not accepted."""
 
 Told = TypeVar("Told")
 
 
 @dataclass(frozen=True)
 class PointRow:
-    """Δg at a verification point in words; `of_limit`, `u_of_limit` are Δg and its U, divided by the limit."""
+    """A row on a verification point, in words; `of_limit` is Δg, `u_of_limit` its U, both divided by the limit."""
 
     where: str
     delta: str
@@ -66,8 +66,8 @@ class PointRow:
 class VerdictTold:
     """The verdict of the verification as shown on a page.
 
-    `state` selects the style of the box, `words` state the outcome, `warnings` cast doubt on it; the other members
-    are the worst |Δg| ± U, the limit and the risk.
+    `state` selects the style of the box, `words` state the outcome, and `warnings` give reasons to doubt it. The
+    other members are the largest |Δg|, its U, the limit and the risk of a wrong decision.
     """
 
     state: str
@@ -97,7 +97,7 @@ class CoefficientRow:
 
 @dataclass(frozen=True)
 class CalibrationTold:
-    """The calibration as shown on a page: coefficients, quantities not observable (`hidden`), fit."""
+    """The calibration as shown on a page: coefficients, unobservable quantities (`hidden`), goodness of fit."""
 
     rows: tuple[CoefficientRow, ...]
     hidden: tuple[str, ...]
@@ -107,7 +107,7 @@ class CalibrationTold:
 
 @dataclass(frozen=True)
 class DiagnosisTold:
-    """The diagnosis as shown on a page: the verdict, the named effects, and the reason for the next measurement."""
+    """The diagnosis as shown on a page: verdict, named effects, and why the next measurement is proposed."""
 
     verdict: str
     words: str
@@ -139,7 +139,10 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return `words` of a run's result file; None if it is missing or, as a sentence in `trouble`, damaged."""
+    """Return `words(content)` of a run's result file; None if it is missing or damaged.
+
+    For a damaged file, a sentence is added to `trouble`.
+    """
     try:
         content = from_text(read_page(run, name))
         return None if content is None else words(content)
@@ -163,7 +166,7 @@ def _in_words(probability: Any) -> str:
 
 
 def verdict_told(told: Mapping[str, Any]) -> VerdictTold:
-    """Return the verdict in the JSON result of a verification, as shown on a page."""
+    """Return the verdict for a page from `told`, the JSON result of a verification."""
     limit = float(told["limit_g"])
     scale = scale_for(limit, "g")
     points = [_point(one, scale.size, limit, str(told.get("rule", ""))) for one in told["points"]]

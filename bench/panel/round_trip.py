@@ -62,7 +62,7 @@ def edited_text(
     fields: Iterable[BenchField],
     arrange: Callable[[Any, Values], None] = lambda tree, before: None,
 ) -> str:
-    """Return a text with the `values` of its fields; if none changed, the text is unchanged.
+    """Return a YAML text with the `values` of its fields; without a change of data it is returned as it is.
 
     An empty field removes its key. First, `arrange(tree, before)` adds and removes sections; `before` are the
     values in `text`. Raises as `changed_text`.
@@ -84,7 +84,7 @@ def edited_text(
 
 
 def with_certificate(text: str, instrument: str, section: str) -> str:
-    """Return a bench file with `section`, a certificate in YAML, for an instrument; comments stay.
+    """Return a bench file's text with the certificate `section` (YAML) at an instrument; comments stay.
 
     Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
     """
@@ -99,7 +99,7 @@ def with_certificate(text: str, instrument: str, section: str) -> str:
 
 
 def accept_certificate(request: ReadCertificate, section: str) -> str:
-    """Write the `section` on an instrument's certificate into a bench file; return a sentence on what was done.
+    """Write an instrument's certificate `section` into a bench file; return a sentence that says what was written.
 
     The file's first line then names who accepted the certificate, and the SHA-256 of the document. Raises
     `Refused` for an instrument that the bench file does not list, for a certificate without corrections, and for
@@ -283,7 +283,7 @@ def in_one_line(value: dict[str, str] | list[str]) -> Any:
 
 
 def with_comments(before: str, after: str) -> str:
-    """Return `after` with each whole-line comment of `before` above its key, else above the next that is left."""
+    """Return `after` with the whole-line comments of `before`, each above its key or the next key that remains."""
     blocks = _blocks(before)
     if _blocks(after) == blocks:
         return after

@@ -43,10 +43,10 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began; `begun` is the start of the first step
-    after the run was begun or resumed. `turn` is the event of the last turn since the block was mounted; `set_c` is
-    the set point (°C) of the chamber. `unmet` is a wish that was refused since the last answer.
-    Results of steps are computed from events on demand only, as few are needed.
+    `step` is the event with which the current step began, None between steps. `begun` is the start event of the
+    first step after the run was begun or resumed. `turn` is the start event of the last turn since the block was
+    mounted; `set_c` is the set point (°C) of the chamber. `unmet` is the event of a wish that was refused since the
+    last answer. Results of steps are computed only when they are read.
     """
 
     plan: Plan
@@ -209,7 +209,7 @@ _BEGUN: Final = f'"type": "{EventType.STEP_STARTED}"'.encode()
 
 
 class Tail:
-    """A reader of all events of a growing record; an incomplete last line is read once it is complete."""
+    """A reader of the events of a growing record; it reads an incomplete last line later, when it is complete."""
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / EVENTS
@@ -217,14 +217,17 @@ class Tail:
         self._count = 0
 
     def grown(self) -> bool:
-        """Return whether the record has unread content, or has become shorter."""
+        """Return whether the record has unread content; also True if the file has become shorter."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield new events, without old starts of steps. Raises `RecordError` if anything but new lines changed."""
+        """Yield events added since the last call; for long records, most old starts of steps are left out.
+
+        Raises `RecordError` if anything but new lines changed.
+        """
         try:
             with open_regular(self._path) as file, uncollected():
                 size = file.seek(0, SEEK_END)

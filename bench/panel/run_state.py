@@ -116,7 +116,7 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """What does not change in a run's snapshot: its first members (`told`), and the installations of its bench.
+    """The constant data of a run's snapshots: the first members (`told`) and the installations of the bench.
 
     `chamber` says whether the bench has a thermal chamber.
     """
@@ -136,7 +136,10 @@ def snapshot(
     now: datetime,
     disk_full: bool = False,
 ) -> dict[str, Any]:
-    """Return the snapshot of a run as a JSON object; `asked` is the open question, `alive` if a program runs."""
+    """Return the snapshot of a run as a JSON object; `alive` says whether a program carries it out.
+
+    `asked` is the open question. If `disk_full`, the alarm names the full disk as the cause.
+    """
     latest = seen.latest
     return {
         **about.told,
@@ -196,8 +199,8 @@ def alarm_of(
 ) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None if there is no alarm.
 
-    `do` is "resume" if the action is to resume the run, else empty. An open question is no alarm; an early
-    warning that stopped the run is one.
+    `do` is "resume" if the action is to resume the run, else empty. An open question is an alarm only if
+    it follows an early warning of which the program is confident.
     """
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
         return None

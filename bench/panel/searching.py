@@ -29,7 +29,7 @@ BEGINS_WITHIN_S: Final = 20.0
 
 @dataclass(frozen=True)
 class Findings:
-    """What a search found: `resources` (`FoundResource`), or the tested `instruments` of the file `bench`.
+    """What a search found: `resources` (`FoundResource`), or the results of testing the `instruments` of `bench`.
 
     `what` is the kind of request (`OFFERS`, `IDENTIFY` or `TEST`), `problem` the reason why it was not carried out.
     """
@@ -69,7 +69,10 @@ class Search(WorkFolder):
         return age_s < BEGINS_WITHIN_S or super().at_work()
 
     def begin(self, what: str, *, resources: Sequence[str] = (), bench: Path | None = None) -> None:
-        """Start a search, an identification of `resources`, or a test of `bench`. Raises `Refusal`."""
+        """Start a search, an identification of `resources`, or a test of the file `bench`; `what` says which.
+
+        Raises `Refusal` if a search is running, or for invalid or too many resources.
+        """
         from bench.services.search import checked_resource
 
         private_folder(self.path)
@@ -101,7 +104,7 @@ class Search(WorkFolder):
 
 
 def main() -> None:
-    """Carry out the search in the folder given on the command line."""
+    """Carry out the search whose folder is on the command line."""
     search = Search(Path(sys.argv[1]))
     with search.lock():
         asked = search.found()

@@ -1,4 +1,4 @@
-"""Functions shared by all pages: the panel, a request's person and form, templates, assets, refusals."""
+"""Functions for all pages: the panel, the person and the form of a request, templates, assets, refusals."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ async def acting(request: Request, least: Role, most: int = MOST_FIELDS) -> tupl
 
 
 async def fields(request: Request, most: int = MOST_FIELDS) -> dict[str, str]:
-    """Return the fields of a form or of a JSON object of texts. Raises `Refusal` for anything else, or too many."""
+    """Return the fields, at most `most`, of a form or a JSON object of texts. Raises `Refusal` for other data."""
     try:
         body = await request.body()
     except ClientDisconnect:
@@ -179,7 +179,7 @@ def load() -> None:
 
 
 def rendered(name: str, **content: Any) -> str:
-    """Return a template rendered with all its `content`: HTML-escaped, control and invisible characters visible."""
+    """Return a rendered template; `content` is HTML-escaped, and its control characters are made visible."""
     return visible(_environment(language()).get_template(name).render(**content))
 
 
@@ -252,7 +252,7 @@ def refused(request: Request, refusal: Refusal) -> Response:
 
 
 def by_error(request: Request, error: Exception) -> Response:
-    """Return the response to a `Refusal`, an unknown address or method, an unusable file, a missing package."""
+    """Return the response to an error: refusal, unknown address or method, unusable file, missing package."""
     match error:
         case Refusal():
             return refused(request, error)

@@ -1,4 +1,4 @@
-"""Followers of runs, each shared by all viewers; they send snapshots and residuals as server-sent events."""
+"""Followers of runs send snapshots and residuals as server-sent events; all viewers of a run share one."""
 
 from __future__ import annotations
 
@@ -41,23 +41,23 @@ COVERAGE: Final = 2.0
 
 @dataclass(frozen=True)
 class PlottedPoints:
-    """The points of a `ResidualPlot` at some moment; `version` counts the changes to earlier points."""
+    """The points of a `ResidualPlot` at some moment; `version` counts how often earlier points changed."""
 
     version: int = 0
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update for a viewer who has the points `told`: index of the first new point, new points, k."""
+        """Return the update for a viewer who has `told`: the new points, the index `from` of the first, and k."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
 
 class ResidualPlot:
-    """The readings of a run minus their predictions, as points for viewers; each change gives a new `plotted`.
+    """The readings of a run minus their predictions, as points for viewers; `plotted` is replaced at each change.
 
     A point has the keys `n` (event number), `step`, `installation`, `series`, `pass`, `point`, `angle_deg`,
-    `time_s`; per channel the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`; and `struck` if
-    the reading was replaced by a repetition.
+    `time_s`. For each channel it has the `residual`, its standard uncertainty `u` (both in `unit`) and `sigma`, the
+    residual divided by `u`. `struck` is True if the reading was replaced by a repetition.
     """
 
     def __init__(self, plan: Plan, bench: BenchFile) -> None:
@@ -143,7 +143,7 @@ ALIVE_LOOK_S: Final = 1.0
 
 
 class Follower:
-    """A follower of one run: its events and residuals. Raises `RecordError`, `FileMistakes` if unreadable."""
+    """A follower of one run's events and residuals. Raises `RecordError`, `FileMistakes` for an unreadable run."""
 
     def __init__(self, folder: Path, clock: Clock | None = None) -> None:
         run = Run(folder)
@@ -249,7 +249,7 @@ def as_event(name: str, data: Any) -> bytes:
 
 
 def as_live(value: bytes) -> bytes:
-    """Return a server-sent event with a run's live value; its data are {} if the value is missing or damaged."""
+    """Return a server-sent event with a run's live value; its data are {} for a missing or damaged value."""
     try:
         told = from_text(value) if value else {}
     except ValueError:
@@ -260,7 +260,7 @@ def as_live(value: bytes) -> bytes:
 class SharedFollower:
     """A `Follower` shared by viewers on an event loop: it reads in a thread, and wakes viewers that wait.
 
-    `state` is the latest snapshot, `trouble` the error that ended it, or an empty string.
+    `state` is the latest snapshot. `trouble` is the error that stopped the follower, else empty.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -304,7 +304,7 @@ class SharedFollower:
         self._live_task.cancel()
 
     async def wait(self, version: int) -> bool:
-        """Wait, at most 2 s (`BEAT_S`), for a version other than `version`; return whether there is one."""
+        """Wait at most 2 s (`BEAT_S`) until `self.version` differs from `version`; return whether it differs."""
         if self.version == version:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._news.wait(), BEAT_S)
@@ -379,14 +379,14 @@ class Followers:
             return shared.prompt
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
-        """Return the points of a run once all its readings were compared. Raises `RecordError`."""
+        """Return the points of a run when all readings were compared. Raises `RecordError` for a damaged run."""
         async with self._watched(folder) as shared:
             while shared.judging and not shared.trouble:
                 await shared.wait(shared.version)
             return shared.points.points
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield a run's server-sent events for one viewer. Raises `RecordError` before the first if unreadable."""
+        """Yield a run's server-sent events for one viewer. Raises `RecordError` if the run cannot be read."""
         async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
             while not shared.trouble:

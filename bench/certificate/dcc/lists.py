@@ -1,4 +1,4 @@
-"""What any DCC states, of whatever author: texts, embedded files, lists of real quantities."""
+"""Reading of any DCC, whichever program made it: texts, embedded files, lists of real quantities."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ def files_in(root: Node) -> dict[str, bytes]:
 
 @dataclass(frozen=True)
 class RealList:
-    """A list of quantities in a document, with values (n,) and covariance (n, n) converted to SI units.
+    """A list of quantities in a document; `values` (n,) and `covariance` (n, n) are converted to SI units.
 
-    `units` (n) are as stated; `factors` (n,) convert them to SI, and `dimensions` (n) map SI bases to exponents.
-    `uncertainty` has U and k as stated, each for every value or one for all. `uncertainty` and `covariance` are
-    None if the document does not state them. `roles` are the words in refType of the list and of its enclosing
-    elements.
+    `units` (n) are the document's units; `factors` (n,) convert them to SI, and `dimensions` (n) map SI bases to
+    exponents. `uncertainty` has U and k in the document's units, one of each for every value or one for all.
+    `uncertainty` and `covariance` are None if the document does not state them. `roles` are the words in refType of
+    the list and of its enclosing elements.
     """
 
     line: int

@@ -211,7 +211,7 @@ def real_list(
 def ellipsoidal(
     covariance: Sequence[Sequence[float]], units: Sequence[str], k: float, probability: float
 ) -> Node:
-    """Return the element of a `covariance` (n, n), written by columns, of quantities in `units` (n).
+    """Return the element of the `covariance` (n, n) of quantities in `units` (n), written column by column.
 
     `k` and `probability` describe the coverage ellipsoid (x - m)ᵀ V⁻¹ (x - m) ≤ k².
     """

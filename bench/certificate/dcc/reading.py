@@ -1,4 +1,4 @@
-"""Reading DCCs: what a certificate of ours says, the coefficients of a block, the certificates of instruments."""
+"""Reading of DCCs: this program's certificates, the coefficients of a block, the certificates of instruments."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class ShownValues:
     """The values in a certificate.
 
     `covariance` (n, n) belongs to the coefficients, `files` maps names to attachments. `release` is the version of
-    the program that wrote the certificate. `says_signed` is what the certificate says of itself: signed (True),
-    unsigned (False) or nothing (None).
+    the program that wrote the certificate. `says_signed` is True if the certificate calls itself signed,
+    False if it calls itself unsigned, and None if it says neither.
     """
 
     says: CertificateSays
@@ -58,7 +58,7 @@ class ShownValues:
 
 
 def shown_of(content: bytes) -> ShownValues:
-    """Return the values in an XML. Raises `NotIntact` if it is not a DCC or cannot be read completely."""
+    """Return the values in a certificate's XML. Raises `NotIntact` if it is no DCC or cannot be read completely."""
     root = etree.fromstring(content, parser())
     if root.tag != ROOT:
         raise NoCertificate("it is not a digital calibration certificate (DCC)")
@@ -180,7 +180,7 @@ def has_coefficients(root: Node) -> bool:
 def coefficients_in(
     path: Path, g_m_s2: float | None = None, noise: str | None = None
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Return the result in a block's DCC, with the members of `bench calibrate --json`, and notes for the user.
+    """Return the result in a block's DCC, in the form of `bench calibrate --json`, and notes for the user.
 
     `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as
     "50 uV". Both are needed only if another program made the certificate. Raises `Refused` if the DCC has no
@@ -339,9 +339,9 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 
 def section_of(path: Path, root: Node) -> tuple[str, tuple[str, ...]]:
-    """Return an instrument's section `certificate` for a bench file, as its DCC states it, and notes.
+    """Return the section `certificate` (YAML) for an instrument in a bench file, made from its DCC, and notes.
 
-    Raises `Refused` if the DCC has no number or no date.
+    Raises `Refused` if the DCC lacks its number, laboratory or date.
     """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]

@@ -1,4 +1,4 @@
-"""Bench files in a form: their list, the form with its mistakes, finding instruments, writing and testing."""
+"""Pages on bench files: their list, the form with the mistakes, the search for instruments, writing, the test."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def listed() -> list[dict[str, Any]]:
 
 
 def mistakes_in(text: str, path: Path) -> tuple[tuple[FileMistake, ...], BenchFile | None]:
-    """Return the mistakes of a bench file with this text, and the bench file if there are none."""
+    """Return the mistakes in the `text` of a bench file, and the bench file, which is None if there are any."""
     try:
         return (), validated(document_of(path, text.encode()), BenchFile)
     except FileMistakes as mistakes:
@@ -101,7 +101,7 @@ _OF_FORM: Final = re.compile(rf"form:|(?:{'|'.join(BenchFile.model_fields)})(?:[
 
 @dataclass
 class BenchForm(EditedFile):
-    """The form of a bench file: the typed values and the groups of fields; `further` are resources to be found.
+    """The form of a bench file: typed values and groups of fields; `further` are typed resources to be addressed.
 
     `example` is the name of the shipped file from which the bench file was made in this form; empty if unknown.
     """
@@ -310,7 +310,7 @@ def _by_place(file: BenchFile | None, results: Mapping[str, Any]) -> dict[str, A
 
 
 def search_of(panel: Panel) -> Search:
-    """Return the panel's latest search for instruments."""
+    """Return the `Search` with the findings of the panel's latest search for instruments."""
     return Search(panel.settings.runs / STATE / "search")
 
 
@@ -321,7 +321,7 @@ def searched(request: Request) -> Response:
 
 
 async def test(request: Request) -> Response:
-    """Start a process that opens, tests and reads the instruments of a bench file that was written."""
+    """Start a process that opens, tests and reads the instruments of a bench file that was saved before."""
     _, given = await acting(request, Role.OPERATOR)
     name = given.get("file", "")
     path = own_file(CONFIG, name)

@@ -1,4 +1,4 @@
-"""The skeleton of the pages on which a person edits a file: shown in a form, sent with a button, written."""
+"""The common part of the pages on which a person edits a file: show a form, take over what is sent, write it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ LONGEST = 400
 class EditedFile(ABC):
     """A file being edited in the panel: the file as it was read (`base`), its new `text`, and the page's messages.
 
-    `name` is the name of the file; `start` names the file from which a new file was copied, else empty.
+    `name` is the name of the file. `start` is the name of the file that a new file copies; else it is empty.
     """
 
     KIND: ClassVar[str]

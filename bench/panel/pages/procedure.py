@@ -54,7 +54,7 @@ MOST_CHECKED: Final = 20_000
 
 @dataclass(frozen=True)
 class CheckBeside:
-    """The findings of a check, shown beside the table: sentences, problems, and the operator's actions."""
+    """What a check found, shown beside the table: sentences, problems, and what the operator will have to do."""
 
     told: tuple[str, ...] = ()
     problems: tuple[str, ...] = ()
@@ -62,7 +62,7 @@ class CheckBeside:
 
 
 def procedures(request: Request) -> Response:
-    """Show the procedures by picture and duration."""
+    """Show the procedures, each with a picture and its duration."""
     operator(request)
     return page(
         request,
@@ -104,7 +104,7 @@ class ProcedureTable(EditedFile):
 
     @property
     def short(self) -> dict[str, str]:
-        """The short name of each field in the form, by its path in the file."""
+        """The input name of each field in the HTML form ("f0", …), by the field's path in the file."""
         return {one.name: f"f{number}" for number, one in enumerate(self.fields)}
 
     @classmethod

@@ -1,4 +1,4 @@
-"""The queue of the day: the units, each begun by a person; the state of the benches; who is on duty."""
+"""The page of the day's queue: units that a person begins one by one, state of the benches, who is on duty."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ def next_unit(panel: Panel) -> QueueItem | None:
 
 
 def bench_today(name: str, runs: Sequence[RunRow], on: DayNote | None) -> BenchToday:
-    """Return what an operator must know today of a bench; the note `on` says when it was switched on."""
+    """Return what an operator must know today of a bench; the note `on` says when it was switched on, if known."""
     busy = next((row.name for row in runs if row.alive and row.bench == Path(name).stem), "")
     try:
         if (path := choices(CONFIG).get(name)) is None:
@@ -280,7 +280,7 @@ def _asked(panel: Panel, person: Person, sent: dict[str, str]) -> list[QueueItem
 
 
 async def item_changed(request: Request) -> Response:
-    """Begin, move, remove or put back an item; to begin starts only its check, after which the run can start."""
+    """Begin, move, remove or put back an item; beginning it starts only the check, not yet the run."""
     person, sent = await acting(request, Role.OPERATOR)
     to = await run_in_threadpool(
         _item_changed, panel_of(request), person, request.path_params["item"], sent.get("do", "")

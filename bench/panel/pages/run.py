@@ -1,4 +1,4 @@
-"""One run: its page, data for its script, answers, wishes (pause, stop, …), control, resuming, ending for good."""
+"""The page of a run and its requests: data, answers, wishes (pause, stop, …), control, resuming, giving up."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ async def _as_long_as_signed_in(
 
 
 async def check_answer(request: Request) -> Response:
-    """Send what is wrong with the answer typed so far, and how the program reads it; store nothing."""
+    """Send the problem with the answer typed so far, and how the program understands it; nothing is stored."""
     found = run_of(request)
     asked = await panel_of(request).followers.prompt(found.folder)
     text = request.query_params.get("text", "")
@@ -161,8 +161,8 @@ async def answer(request: Request) -> Response:
 async def wish(request: Request) -> Response:
     """Store a wish for the program that carries out a run.
 
-    Anybody may wish a stop; any other wish needs control of the run. Without a program, abort is carried out at
-    once, and other wishes are refused.
+    Any signed-in person may stop a run; any other wish needs control of it. If no program carries out the run, the
+    panel carries out an abort itself and refuses other wishes.
     """
     person, sent = await acting(request, Role.VIEWER)
     run = panel_of(request).runs.run(request.path_params["name"])
@@ -194,7 +194,7 @@ async def control(request: Request) -> Response:
 
 
 async def resume(request: Request) -> Response:
-    """Resume a run that no program carries out; the person must have control of it, or take it from nobody."""
+    """Resume a run that no program carries out; the person needs control, and gets it if nobody has it."""
     person, _ = await acting(request, Role.OPERATOR)
     run = panel_of(request).runs.run(request.path_params["name"])
     await _doing(_hold, run, person)

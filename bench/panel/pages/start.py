@@ -50,8 +50,8 @@ BEGINS_WITHIN: Final = timedelta(seconds=30)
 def form(request: Request) -> Response:
     """Show the form with its choices.
 
-    Query parameters: `after` names a run whose diagnosis proposes measurements, `like` a run from which
-    procedure and bench are preset.
+    Query parameters: `after` names a run whose diagnosis proposes the next measurement; `like` names a run whose
+    procedure and bench file are preset.
     """
     person = operator(request)
     given = {name: request.query_params.get(name, "")[:LONGEST] for name in (*FORM, "after", "like")}
@@ -87,7 +87,7 @@ class FormField:
 
 
 def form_field(name: str) -> FormField:
-    """Return the form field for the field of `RunRequest` with this name."""
+    """Return the form field for the field `name` of `RunRequest`."""
     (of,) = (one for one in fields_of(RunRequest) if one.name == name)
     label, words = IN_THE_PANEL.get(name, ("", ""))
     label = label or name.replace("_", " ").capitalize()
@@ -106,7 +106,7 @@ async def check(request: Request) -> Response:
 
 
 def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = "") -> WishFolder:
-    """Start the check of the run requested by a form; `queued` is its item in the queue. Raises `Refusal`."""
+    """Start the check of the run that a form requests; `queued` is the id of its queue item. Raises `Refusal`."""
     given: dict[str, str | bool] = {
         "procedure": str(chosen_procedure(sent.get("procedure", ""), panel.runs).absolute()),
         "bench": str(chosen_bench(sent.get("bench", ""), panel.runs).absolute()),
@@ -127,7 +127,7 @@ def wished(panel: Panel, person: Person, sent: Mapping[str, str], queued: str = 
 
 
 def found(request: Request) -> Response:
-    """Show the findings of check and dry run so far."""
+    """Show what the check and the dry run have found so far."""
     operator(request)
     wish = panel_of(request).wishes.of(request.path_params["wish"])
     told, asked = wish.found(), wish.wanted()
@@ -206,7 +206,7 @@ def _files_of(manifest: Mapping[str, Any]) -> dict[str, str]:
 
 
 def first_bench(runs: RunsFolder) -> str:
-    """Return the bench file chosen at first: of BENCH_FILE, of the latest run, else of the working folder."""
+    """Return the preset bench file: BENCH_FILE, else that of the latest run, else one of the working folder."""
     if named := os.environ.get("BENCH_FILE", ""):
         return named
     first = next(iter(own_files(CONFIG)), "paper-stand")

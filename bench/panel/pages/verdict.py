@@ -54,7 +54,7 @@ VIEWS: Final = {"report": ("Report", REPORT), "diagnosis": ("Diagnosis", DIAGNOS
 
 
 def view(request: Request) -> Response:
-    """Show the report or the diagnosis of a run below the panel's header."""
+    """Show the report or the diagnosis of a run in a page with the panel's header."""
     run, what = run_of(request), request.path_params["what"]
     title, file = VIEWS.get(what, ("", ""))
     if not title:
@@ -140,7 +140,7 @@ async def data(request: Request) -> Response:
 
 
 async def previous(request: Request) -> Response:
-    """Send the readings minus their predictions by the unit's previous calibration, for the live page."""
+    """Send the points of the live residual plot of the run that calibrated the unit before this one."""
     found, panel = run_of(request), panel_of(request)
     earlier = await run_in_threadpool(previous_calibration, found, panel.runs)
     points = () if earlier is None else await panel.followers.points(earlier.folder)
