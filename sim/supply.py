@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Outputs:
-    """The outputs of a supply in a world, by name; `limits` are their limits in the supply's facts.
+    """The outputs of a supply in a world, by name; `limits` are their limits from the supply's facts.
 
     `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains power
-    returns, to set the supply's state. With `one_switch` all outputs are switched together.
+    returns, and sets the supply's state. With `one_switch` a front-panel switch acts on all outputs.
     """
 
     def __init__(
