@@ -167,11 +167,10 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 
 
 class ManualLevel(ByHand):
-    """A `Level` with one vial, which a person lays along the shaft and across it; a division is `division_rad`.
+    """A `Level` with one vial, which a person lays first along the shaft, then across it.
 
-    `reading_divisions` is the standard uncertainty of a reading; the vial has `most_divisions` to either side.
-    `scale` is the relative standard uncertainty of a division, `turn_rad` the standard uncertainty of the level's
-    alignment.
+    The scale has `most_divisions` of `division_rad` each to either side. Standard uncertainties: of a reading,
+    `reading_divisions`; of a division, `scale`, relative; of the level's alignment, `turn_rad`.
     """
 
     model = "bubble level"
@@ -250,10 +249,10 @@ def ask_temperature(
     outside: Callable[[float], str],
     of: str = "block",
 ) -> float | None:
-    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives a temperature.
+    """Ask for a temperature, °C; return None if no attempt gives one between `low_c` and `high_c`.
 
-    `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
-    `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
+    `key` names the question, `text` says what to do. `outside` returns a sentence about a value out of range. `of`
+    is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
     """
     question = Prompt(
         id=key,
@@ -286,7 +285,10 @@ _PLAUSIBLE_K: Final = 20.0
 
 
 class ManualChamber(ByHand):
-    """A `ThermalChamber` that a person sets and reads; safe at `safe_c`, °C, or (if None) switched off."""
+    """A `ThermalChamber` that a person sets and reads.
+
+    Its safe state is the temperature `safe_c`, °C, or, if that is None, switched off.
+    """
 
     model = "thermal chamber"
     asks_person = True
@@ -381,7 +383,10 @@ _PLACES: Final = {
 
 
 class ManualThermometer(ByHand):
-    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C; `of` is a key of `_PLACES`."""
+    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C.
+
+    `of` is the place of the thermometer: "block", "meter" or "room".
+    """
 
     model = "thermometer"
     asks_person = True

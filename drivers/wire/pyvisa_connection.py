@@ -279,7 +279,7 @@ class Connection:
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether bytes or the end of the connection arrive within `timeout_s`; needs `by_bytes`."""
+        """Return whether bytes or the end of the connection arrive within `timeout_s`; only if `by_bytes`."""
         return bool(select.select([self._interface], [], [], timeout_s)[0])
 
     def take(self) -> tuple[bytes, bool]:
