@@ -117,7 +117,7 @@ class ReadLevel(TypedDict):
 
 
 class LevelPlatform(TypedDict):
-    """Level the platform before the block is mounted in `installation` for the time number `series`."""
+    """Level the platform before mounting number `series` of the block in `installation`."""
 
     do: Literal["level_platform"]
     installation: str

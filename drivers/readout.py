@@ -102,8 +102,8 @@ class Track:
     def take(self, time_s: float, angle_rad: float) -> float | None:
         """Add an angle read at a time and return None, unless the angle jumped.
 
-        A jump is faster than a hand can turn the head. The angle is then not added, and the size of the jump, rad,
-        is returned.
+        A jump is faster than a hand can turn the head: then return by how much the angle jumped, rad, and do not
+        add it.
         """
         offset_rad = self._direction * wrapped_rad(angle_rad - self._target_rad)
         approach = self._approach

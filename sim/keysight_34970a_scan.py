@@ -92,7 +92,7 @@ _ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
 
 
 class ChannelList:
-    """A channel list as a parameter, `(@101:103,105)`, or a number or word if `or_number` is given.
+    """A channel list as a parameter, `(@101:103,105)`; with `or_number`, a number or word is accepted, too.
 
     The value of a list is its text, which `listed` converts to channels.
     """

@@ -118,7 +118,7 @@ class ScpiInstrument:
     # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Called before a command's parameters are parsed: wait for a measurement, or raise `ScpiError`."""
+        """Do nothing; a subclass waits or raises `ScpiError` here, before a command's parameters are parsed."""
 
     def reset(self) -> None:
         """Carry out *RST; a subclass resets its settings."""

@@ -107,7 +107,10 @@ WORDS: Final = (MIN, MAX, DEF)
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: outputs of a world, one of them selected; `facts` are the supply's."""
+    """The base of the Keysight supplies: outputs of a world, one of them selected.
+
+    `facts` is the supply's module in `drivers.facts`.
+    """
 
     def __init__(
         self,

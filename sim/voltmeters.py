@@ -106,10 +106,10 @@ Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
 }  # fmt: skip
-"""Standard deviation of one sample, a fraction of the range, by integration time in NPLC."""
+"""Standard deviation of one sample's noise, a fraction of the range, by integration time in NPLC."""
 
 _NOISE_OF_INPUT_V: Final = 0.4e-6
-"""Noise of the input amplifier at 1 NPLC, V, which dominates in the 100 mV range."""
+"""Standard deviation of the input amplifier's noise at 1 NPLC, V; it dominates in the 100 mV range."""
 
 _FAST_INTEGRATION_S: Final = {0.02: 400e-6, 0.2: 3e-3}
 _AC_SETTLING_S: Final = {3.0: 7.0, 20.0: 1.0, 200.0: 0.6}
@@ -191,7 +191,7 @@ class InputFlaws:
         return 1.0 / (1.0 + self.source_ohm / input_ohm)
 
     def pick_up_v(self, aperture_s: float, line_hz: float, phase_rad: float) -> float:
-        """Return the mean of the mains voltage over an integration that begins at `phase_rad`, V."""
+        """Return the mean of the mains voltage over an integration whose middle is at `phase_rad`, V."""
         cycles = aperture_s * line_hz
         if not self.mains_v or math.isclose(cycles, round(cycles), abs_tol=1e-9):
             return 0.0
@@ -265,7 +265,7 @@ class Converter:
     # --- value --------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Begin a measurement: announce a new reading to the source and get its noise generator."""
+        """Begin a measurement: announce a new reading to the source and get the generator of its noise."""
         self._source.new_reading()
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
@@ -300,7 +300,10 @@ class Converter:
         return signal_v + self._flicker("voltmeter flicker", flaws.flicker_v, time_s)
 
     def _flicker(self, purpose: str, deviation: float, time_s: float) -> float:
-        """Return 1/f noise of `deviation` per decade: per decade four sines of equal power and fixed phase."""
+        """Return 1/f noise at `time_s`, with the standard deviation `deviation` per decade of frequency.
+
+        It is a sum of sines with fixed phases: four of equal power in each decade.
+        """
         if not deviation:
             return 0.0
         drawn = self._source.fixed_random(purpose).random((len(_FLICKER_DECADES), 4, 2))
@@ -360,7 +363,7 @@ class Converter:
         return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
     def _autorange(self, signal_v: float, range_v: float) -> float:
-        """Return a higher range for a signal above the present range, a lower range for one far below it."""
+        """Return a higher range if the signal exceeds the present range, a lower one if it is far below it."""
         ranges: tuple[float, ...] = self._facts.RANGES_V
         if abs(signal_v) > self._full_scale(range_v):
             return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])

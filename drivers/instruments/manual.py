@@ -53,9 +53,9 @@ class ByHand:
 class ManualHead(ByHand):
     """A `DividingHead` that a person turns and reads.
 
-    `move` returns the angle read from the scale after clamping, which the calibration uses, not the target.
-    The reading may differ from the target by `tolerance_rad`. With `enter_accepts_target`, an empty answer means
-    the target; else the angle must be typed.
+    `move` returns the angle that the person reads from the scale after clamping, not the target. The reading may
+    differ from the target by `tolerance_rad`. With `enter_accepts_target`, an empty answer means that the scale
+    shows the target; else the angle must be typed.
     """
 
     model = "dividing head"

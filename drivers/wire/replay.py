@@ -333,9 +333,10 @@ class Replay(Connection):
         return False
 
     def take(self) -> tuple[bytes, bool]:
-        """Return the next reply of the log.
+        """Return the next reply of the log, and whether more bytes follow.
 
-        Raises the failure that follows it in the log, if any: a truncated, doubled or unsolicited reply.
+        If a failure follows the reply in the log (it was truncated, doubled or unsolicited), raise the failure
+        instead.
         """
         reply = self._next()
         self.fail(self._when)

@@ -33,12 +33,12 @@ _PACKAGES: Final = {
     "psutil": "only the network of the default interface was searched (install psutil to search all)",
     "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
 }
-"""For each optional package that pyvisa-py warns about: what was not searched without the package."""
+"""What is not searched without an optional package, by the package that pyvisa-py warns about."""
 _LIBRARIES: Final = {
     ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
     ("usb",): "USB was not searched (install pyusb)",
 }
-"""For alternative packages whose absence pyvisa-py does not report: what was not searched without any of them."""
+"""What is not searched if none of several packages is installed; pyvisa-py does not report their absence."""
 SOCKETS: Final = (
     "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
     "see the address on the instrument's own display"

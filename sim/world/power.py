@@ -313,7 +313,7 @@ class Power:
         return math.inf, None
 
     def _watch(self, begin_s: float, end_s: float) -> None:
-        """Record limit violations and power changes of the rails in a period without switching or disturbance."""
+        """Record violations and power changes of the rails in a period without switching or disturbance."""
         for rail in self.settings.rails:
             volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
             low_v, high_v = rail.absolute_v

@@ -126,9 +126,10 @@ class Heat:
     def _go_on(
         self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
     ) -> None:
-        """Begin a course of air temperature (line plus excess) at `since_s`, instead of those scheduled after it.
+        """From `since_s` on, let the air be at a line plus an excess, °C; drop changes scheduled after it.
 
-        The excess `excess_c` decays with `lag_s`; complex values make it oscillate.
+        The line starts at `base_c` with `slope_c_s`. The excess `excess_c` decays with `lag_s`; complex values make
+        it oscillate.
         """
         if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
@@ -515,7 +516,7 @@ class World(KeyedNumbers):
         return self._swung_c(time_s, self.settings.meter_lag_s)
 
     def _swung_c(self, time_s: float | None, lag_s: float) -> float:
-        """Return the temperature of a body that follows the room with a first-order lag, °C, in the steady swing.
+        """Return the temperature of a body that follows the room's swing with a first-order lag, °C.
 
         The transient at the beginning of the world is ignored.
         """
