@@ -52,7 +52,7 @@ class AcutrolTable(PlainDialect):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one line; of several commands joined by `;` only the last or the first refused is answered."""
+        """Answer one line; commands joined by `;` get one answer, that of the last or the first refused."""
         answer = ""
         for part in message.decode("ascii", "replace").split(";"):
             try:

@@ -138,7 +138,7 @@ class Keithley2000(ScpiInstrument):
     """A Keithley 2000, which measures the signal `source` at the time of `clock`.
 
     `Converter` explains `noise` and `accuracy`. `interface` is the selected interface; all commands are accepted
-    over either. Over RS-232 a message may end in CR, LF or both; each reply ends in `line_end`.
+    over both. Over RS-232 a message may end in CR, LF or both; each reply ends in `line_end`.
     """
 
     def __init__(

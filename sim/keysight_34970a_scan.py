@@ -258,8 +258,8 @@ class Scan(MeasuringCycle):
     """The scan list, the trigger settings, the scan in progress, and the memory of the latest readings.
 
     `channels` maps each channel to its settings and converter, `inputs` maps it to its signal. A scan that exceeds
-    the memory, or without end (TRIGger:COUNt INFinity), which is not simulated, raises `ScpiError` 305 at its
-    start.
+    the memory raises `ScpiError` 305 at its start. So does a scan without end (TRIGger:COUNt INFinity), because the
+    simulation has none.
     """
 
     memory_depth = MEMORY_READINGS
@@ -292,8 +292,8 @@ class Scan(MeasuringCycle):
     def initiate(self) -> None:
         """INITiate: scan into memory.
 
-        Raises `ScpiError` -213 if a scan is in progress or waits for a trigger, 305 for an empty scan list or one
-        of the scans that the class excludes.
+        Raises `ScpiError` -213 if a scan is in progress or waits for a trigger, 305 for an empty scan list, and for
+        a scan without end or beyond the memory.
         """
         self._require_idle()
         if not self.channel_list or self.count * len(self.channel_list) > self.memory_depth:

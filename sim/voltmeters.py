@@ -101,7 +101,7 @@ def chosen_resolution(function: Function, value: Value, full_scale: float) -> fl
 # measured on meters of this class.
 
 Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
-"""The errors of a simulated meter: drawn from half its 90-day limits, or {range: (gain error, offset in V)}."""
+"""The errors of a simulated meter: drawn within ± half its 90-day limits, or {range: (gain error, offset in V)}."""
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
@@ -210,11 +210,11 @@ class Converter:
     With `noise`, each sample has white noise that depends on its integration time, and is rounded to the
     resolution; without, samples are exact (a reply still has only 8 decimals).
     With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature coefficients,
-    each uniform within ± half its limit. A mapping {range: (gain error, offset in V)} states the errors instead; a
-    range that it lacks has none. None means no errors.
+    uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the errors instead; a range
+    that it lacks has none. None means no errors.
     `flaws` are the fields of `InputFlaws`; None means an ideal input.
     The terminals carry only a DC voltage: AC functions, current, frequency and period read zero; resistance,
-    continuity, diode and ratio give an overload. While `overloaded` is set, so does every sample.
+    continuity, diode and ratio give an overload. While `overloaded` is set, every sample is an overload.
     """
 
     def __init__(

@@ -141,7 +141,7 @@ class NewportHead(MotorisedHead):
     def _refuse_other_settings(self, what: str) -> None:
         """Raise `InstrumentRefused` unless the unit is the degree and the speed is the one set.
 
-        `what` begins the sentence about a different speed, such as "was set otherwise since".
+        `what` is the beginning of the message if the speed differs, such as "was set otherwise since".
         """
         unit = int(self._number("SN?"))
         if unit != facts.DEGREES:

@@ -253,7 +253,7 @@ class MessageSession:
             connection.close()
 
     def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
-        """Log a failure with its phase `when`; return it, or `InstrumentLost` for a foreign `Exception`."""
+        """Log a failure with its phase `when`; return it, or for a foreign `Exception` an `InstrumentLost`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
             error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)

@@ -312,7 +312,7 @@ class FaultyInstrument:
             self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Pass `left` to the instrument; it returns whether the client of the next message has disconnected."""
+        """Pass `left`, a function that returns whether the client has disconnected, to the instrument."""
         if self._measures is not None:
             self._measures.cycle.sent_by(left)
 

@@ -66,9 +66,9 @@ class OperatorSettings:
     The operator sets the head with a normal error of standard deviation `setting_deviation_rad`, to a whole step
     `resolution_rad` of the scale. Times are in s. A turn takes a time drawn uniformly from the interval
     `turn_time_s`. A mounting takes `mount_time_s`, a second look at the scale `second_look_s`, the reading of a
-    display `display_time_s`, any other task `task_time_s`. With `slip_probability` the typed angle is off by 1°,
-    10′ or 1′ although the head is set correctly; where an encoder reads the head, the operator instead approaches
-    from the wrong side.
+    display `display_time_s`, any other task `task_time_s`.
+    `slip_probability` is that of a slip: the typed angle is off by 1°, 10′ or 1′ although the head is set
+    correctly. If an encoder reads the head and no angle is typed, a slip is an approach from the wrong side.
     """
 
     setting_deviation_rad: float = 2.0 * ARCSEC

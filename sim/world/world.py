@@ -126,7 +126,7 @@ class Heat:
     def _go_on(
         self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
     ) -> None:
-        """From `since_s` on, let the air be at a line plus an excess, °C; drop changes scheduled after it.
+        """From `since_s` on, the air follows a line plus an excess, °C; drop the changes scheduled after it.
 
         The line starts at `base_c` with `slope_c_s`. The excess `excess_c` decays with `lag_s`; complex values make
         it oscillate.
