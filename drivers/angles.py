@@ -101,8 +101,9 @@ def _parts(body: str) -> tuple[float, ...] | None:
 def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     """Return the scale reading that a person typed, rad, shifted by whole turns to lie near `target_rad`.
 
-    Raises `ValueError` with a sentence for the person if the text is empty, is not an angle, or is more than
-    `tolerance_rad` from the target; the sentence then names the common mistake that explains the deviation, if any.
+    Raises `ValueError` with a sentence for the person if the text is empty or not an angle, or if the angle is more
+    than `tolerance_rad` from the target. In the last case the sentence names the common mistake that explains the
+    deviation, if there is one.
     """
     if not text.strip():
         raise ValueError(message("Nothing was typed: read the scale and type what it shows."))

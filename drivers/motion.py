@@ -36,7 +36,7 @@ _LEAST_OF_SPEED: Final = 0.05
 
 @dataclass
 class TravelWatch:
-    """Supervision of one move of the head `name`, which begins at `start_rad` at the clock time `begun_s`.
+    """Supervision of one move of the head `name` from `start_rad`, begun at the clock time `begun_s`.
 
     Once the head has come within half the back-off of its target, it may overshoot by as much, or stop there:
     `Mover` decides whether it has settled.

@@ -80,7 +80,7 @@ class Elsewhere:
 class SimulatedBench:
     """A context manager that serves the instruments of a world.
 
-    `instruments` maps each name on the bench to a meter or to another dialect on the world, which may state its
+    `instruments` maps each name on the bench to a meter or to another dialect on the world; a dialect may state its
     `model`. Each instrument gets a TCP port on `host`: any free port, or consecutive ports from `first_port`. It
     also gets a pseudo-terminal if `with_terminals` is True or contains its name. `buses` puts instruments on the
     GPIB bus of an adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options`

@@ -285,11 +285,10 @@ _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A temperature sensor on the block, of a type in `SENSORS`.
+    """A temperature sensor on the block, of a type in `SENSORS`; to a meter set to volts it is a short.
 
-    It shows the sum, °C, of the block's temperature, the fraction `air_share` of the difference between chamber air
-    and block, the constant error `error_c`, and noise of the standard deviation `noise_c`. To a meter set to volts
-    it is a short.
+    It shows the block's temperature plus three terms, °C: the fraction `air_share` of the difference between
+    chamber air and block, the constant error `error_c`, and noise of the standard deviation `noise_c`.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A counter that answers a request with one line of text, and that measures a head turned by a person."""
+"""A counter that replies with one line of text and measures the angle of a head that a person turns."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ class ManualHead(ByHand):
         return self._turned(target_rad, direction, key, by_way_of_rad)
 
     def stands_at(self, key: str) -> float:
-        """Ask for the angle at which the head stands, within half a turn of 0, rad; nobody turns it.
+        """Ask for the angle at which the head stands; return it within half a turn of 0, rad. Nobody turns it.
 
         Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
@@ -303,7 +303,7 @@ class ManualChamber(ByHand):
         self._set = False
 
     def make_safe(self) -> str:
-        """Return what a person must do if a temperature was set, else an empty string; nobody is asked."""
+        """Ask nobody; return what a person must do, or an empty string if no temperature was set."""
         if not self._set:
             return ""
         safe = "off" if self._safe_c is None else f"to {self._safe_c:g} °C"

@@ -201,7 +201,7 @@ class GpibAdapter(PlainDialect):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends: the end of the reply itself, then a stray NUL if the adapter sends one."""
+        """The line ends: LF for messages and replies; with `nul`, a NUL follows each reply."""
         return LineEnds(reply=b"\n\0") if self._nul else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

@@ -374,7 +374,7 @@ class ServedInstrument:
 class Session:
     """One client of one instrument.
 
-    `on_refuse` is called with the time, s, for which new clients are to be refused (0: without limit).
+    To refuse new clients, it calls `on_refuse` with the duration, s; 0 means without limit.
     """
 
     def __init__(

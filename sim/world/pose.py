@@ -151,8 +151,8 @@ class HeadTurn:
 class HeadFault:
     """A fault of a motorised head, for movements that begin while it is set.
 
-    The head sticks after a rotation by `sticks_after_rad` (0: it does not move at all; None: it does not stick), or
-    it stops where its own scale shows `stops_off_rad` more than the target. A head that `runs_away`, as with a
+    With `sticks_after_rad`, the head sticks after a rotation by this angle, at once for 0. A head that does not
+    stick stops where its own scale shows `stops_off_rad` more than the target. A head that `runs_away`, as with a
     wrong sign, turns away from the target until it is stopped.
     """
 
