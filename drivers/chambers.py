@@ -178,4 +178,4 @@ class ControlledChamber(ProvedInstrument):
 
     @abstractmethod
     def _air_c(self, target_c: float | None) -> float:
-        """Return the temperature of the air, °C; given a set point, first verify that it is still in force."""
+        """Return the temperature of the air, °C; verify first that a set point `target_c` is in force."""

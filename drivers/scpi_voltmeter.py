@@ -217,8 +217,8 @@ class ScpiVoltmeter(ABC):
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading; return its samples in volts, `{"x": (1.2, …)}`.
 
-        Raises `BadReading` for an overload, a wrong format or number of samples, or a reading that was not
-        started over this connection; `InstrumentLost`, also if the meter lost power since it was configured;
+        Raises `BadReading` for an overload, a wrong format or number of samples, or if no reading was started over
+        this connection. Raises `InstrumentLost`, also if the meter lost power since it was configured, and
         `InstrumentRefused` for errors that the meter reports.
         """
         settings = self._settings

@@ -54,7 +54,7 @@ class Outputs:
         return self._world.clock.now_s() if self._back_s is None else self._back_s
 
     def span(self, name: str, what: str) -> tuple[float, float]:
-        """Return the two limits of a setting of an output; the limit nearest to zero comes first."""
+        """Return the two limits of a setting of an output; the limit nearer to zero comes first."""
         low, high = sorted((float(value) for value in self.limits[name][what]), key=abs)
         return low, high
 

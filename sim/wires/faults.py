@@ -147,7 +147,7 @@ class Fault:
 
     @classmethod
     def parse(cls, data: Mapping[str, object]) -> Fault:
-        """Return the fault that plain data states; numbers may be given as text.
+        """Return the fault that the mapping `data` states; numbers may be given as text.
 
         Raises `ValueError` with one sentence for an unknown key or kind, an invalid number or inconsistent
         settings.
