@@ -429,7 +429,7 @@ class SupplyLimits:
 
     @classmethod
     def of(cls, facts: ModuleType, model: str | None = None) -> SupplyLimits:
-        """Return the limits of `model`, or of the first model for None; `facts` is a module in `drivers.facts`.
+        """Return the limits of `model`, or of the first model for None, from a module in `drivers.facts`.
 
         Raises `KeyError` for an unknown model.
         """

@@ -101,7 +101,7 @@ def chosen_resolution(function: Function, value: Value, full_scale: float) -> fl
 # measured on meters of this class.
 
 Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
-"""The errors of a simulated meter: drawn within ± half its 90-day limits, or {range: (gain error, offset in V)}."""
+"""Errors of a simulated meter: drawn within ± half its 90-day limits, or {range: (gain, offset in V)}."""
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,

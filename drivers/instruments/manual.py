@@ -92,9 +92,9 @@ class ManualHead(ByHand):
         return self._turned(target_rad, direction, key, by_way_of_rad)
 
     def stands_at(self, key: str) -> float:
-        """Ask for the angle at which the head stands; return it within half a turn of 0, rad. Nobody turns it.
+        """Ask for the angle at which the head stands; return it within half a turn of 0, rad.
 
-        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
+        Nobody turns the head. Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         task = message("Leave the head as it stands; read its scale and type the angle read.")
         question = Prompt(key, PromptKind.ANGLE, task, unit="° ′ ″", action={"do": "read_head"})
