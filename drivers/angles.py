@@ -101,8 +101,9 @@ def _parts(body: str) -> tuple[float, ...] | None:
 def read_angle(text: str, target_rad: float, tolerance_rad: float) -> float:
     """Return the scale reading that a person typed, rad, shifted by whole turns to lie near `target_rad`.
 
-    Raises `ValueError` with a sentence for the person if the text is empty, is not an angle, or is more than
-    `tolerance_rad` from the target; the sentence then names the common mistake that explains the deviation, if any.
+    Raises `ValueError` with a sentence for the person if the text is empty or not an angle, or if the angle is more
+    than `tolerance_rad` from the target. In the last case the sentence names the common mistake that explains the
+    deviation, if there is one.
     """
     if not text.strip():
         raise ValueError(message("Nothing was typed: read the scale and type what it shows."))
@@ -154,11 +155,12 @@ def scale_text(angle_rad: float) -> str:
 
 
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
-    """Return in words the common mistake that turns `target_rad` into `read_rad`, or None.
+    """Return in words the common mistake that turns `target_rad` into `read_rad`, or None if none does.
 
-    The mistakes are: a scale line one off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x, two
-    digits swapped. Except for swapped digits, the reading that the mistake predicts must be within
-    `tolerance_rad` of `read_rad`, and within a third of the distance between `read_rad` and the target.
+    The mistakes are: one line of the scale too far (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x,
+    two digits swapped. For all but swapped digits, `read_rad` must agree with the reading that the mistake
+    predicts: within `tolerance_rad`, and within a third of the deviation from the target. A reading within
+    `tolerance_rad` of the target is no mistake.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

@@ -23,9 +23,10 @@ _PLAUSIBLE_K: Final = 30.0
 
 @dataclass(frozen=True, slots=True)
 class ChamberLimits:
-    """The permitted set points, °C, and the band: the largest deviation of the air from the set point at a reading.
+    """The permitted set points of a chamber, °C, and the band around the set point.
 
-    With `band_c` None, readings are accepted at any temperature. Raises `ValueError` for inconsistent values.
+    At a reading the air may differ from the set point by `band_c`, K; with None, any plausible temperature is
+    accepted. Raises `ValueError` for inconsistent values.
     """
 
     minimum_c: float
@@ -51,7 +52,7 @@ class ChamberLimits:
             )
 
     def plausible(self, name: str, temperature_c: float) -> float:
-        """Return the sensor's temperature unchanged. Raises `BadReading` if it is implausible."""
+        """Return the sensor's temperature; raise `BadReading` if it is more than 30 K outside the limits."""
         low_c, high_c = self.minimum_c - _PLAUSIBLE_K, self.maximum_c + _PLAUSIBLE_K
         if low_c <= temperature_c <= high_c:
             return temperature_c
@@ -62,9 +63,10 @@ class ChamberLimits:
         )
 
     def in_band(self, name: str, temperature_c: float, target_c: float | None) -> float:
-        """Return the air's temperature unchanged. Raises `InstrumentRefused` if it is out of the band.
+        """Return the air's temperature; raise `InstrumentRefused` if it is outside the band.
 
-        `target_c` is the set point, None if there is none. Raises `BadReading` for an implausible temperature.
+        `target_c` is the set point; with None, there is no band. Raises `BadReading` for an implausible
+        temperature.
         """
         self.plausible(name, temperature_c)
         if target_c is None or self.band_c is None or abs(temperature_c - target_c) <= self.band_c:
@@ -77,7 +79,7 @@ class ChamberLimits:
 
 
 def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolution_c: float) -> None:
-    """Raise `InstrumentRefused` if the set point read back, `shown_c`, is not `target_c`.
+    """Raise `InstrumentRefused` if the controller's set point `shown_c` is not the demanded `target_c`, °C.
 
     The two may differ by half the controller's resolution, plus a margin for floating-point rounding.
     """
@@ -90,10 +92,10 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
 
 
 class ControlledChamber(ProvedInstrument):
-    """The base class of chambers with a controller: a `ThermalChamber` whose `temperature` is the air temperature.
+    """The base class of chambers with a controller: a `ThermalChamber` that reads the temperature of the air.
 
     A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
-    controller's name, `write_gap_s` the pause, s, after a command without reply.
+    controller's name. `write_gap_s` is the pause that the controller needs after a command without reply, s.
     """
 
     asks_person = False
@@ -143,8 +145,8 @@ class ControlledChamber(ProvedInstrument):
     def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature of the air, °C.
 
-        Raises `InstrumentRefused` for air out of the band (unless `settling`), for faults that the controller
-        reports, and for a state or set point that somebody changed; also `BadReading`, `InstrumentLost`.
+        Raises `InstrumentRefused` for air outside the band (unless `settling`), for a fault that the controller
+        reports, and if somebody changed the set point or the operating state; also `BadReading`, `InstrumentLost`.
         """
         air_c = self._air_c(self._target_c)
         return self._limits.in_band(self.name, air_c, None if settling else self._target_c)
@@ -176,4 +178,4 @@ class ControlledChamber(ProvedInstrument):
 
     @abstractmethod
     def _air_c(self, target_c: float | None) -> float:
-        """Return the temperature of the air, °C; given a set point, first verify that it is still in force."""
+        """Return the temperature of the air, °C; verify first that a set point `target_c` is in force."""

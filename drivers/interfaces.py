@@ -236,8 +236,8 @@ class ThermalChamber(Instrument, Protocol):
     def temperature(self, key: str, *, settling: bool = False) -> float:
         """Return the temperature at the block or, without a sensor there, of the air, °C.
 
-        Raises `InstrumentRefused` if the temperature is outside the band that the bench file may state around
-        the set point, unless `settling` is true; also `InstrumentLost`, `BadReading`.
+        The bench file may state a band around the set point. Raises `InstrumentRefused` if the temperature is
+        outside this band, unless `settling` is true; also `InstrumentLost`, `BadReading`.
         """
 
 
@@ -258,8 +258,8 @@ class Inclination:
 class LevelSizes:
     """Standard uncertainties of a level: one reading (rad), the scale (relative) and the cross-sensitivity.
 
-    `cross` is the fraction of the other axis's inclination that may enter a reading, because the axes are
-    misaligned or the half turn is inexact.
+    The cross-sensitivity is the fraction of the other axis's inclination that enters a reading, because the axes
+    are misaligned or the half turn is inexact.
     """
 
     reading_rad: float
@@ -334,8 +334,8 @@ class OutputSettings:
 class OutputState:
     """The state of an output: on or off, its settings, and its measured voltage (V) and current (A).
 
-    `tripped`: a protection has switched the output off and keeps it off until cleared.
-    `limiting`: the output is on and in constant current, at its limit, below the voltage set.
+    With `tripped`, a protection has switched the output off and keeps it off until the trip is cleared. With
+    `limiting`, the output is on, its current is at the limit, and its voltage is below the set voltage.
     """
 
     on: bool
@@ -382,7 +382,7 @@ class OutputLimits:
         return wrong
 
     def differences(self, shown: OutputSettings, wanted: OutputSettings) -> list[str]:
-        """Return one phrase for each setting shown that differs from the wanted one by more than half a step.
+        """Return one phrase for each setting in `shown` that differs from `wanted` by more than half a step.
 
         If no protection is wanted, any protection is accepted: it can only switch the output off.
         """
@@ -419,7 +419,7 @@ def _span(span: tuple[float, float]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SupplyLimits:
-    """The limits of a supply's outputs, by name. `together`: a single switch controls all outputs.
+    """The limits of a supply's outputs, by name; with `together`, one switch controls all outputs.
 
     They are read from the supply's module in `drivers.facts`; bench files are checked against them.
     """
@@ -429,7 +429,7 @@ class SupplyLimits:
 
     @classmethod
     def of(cls, facts: ModuleType, model: str | None = None) -> SupplyLimits:
-        """Return the limits of `model`, by default the first in `facts`, a supply's module in `drivers.facts`.
+        """Return the limits of `model`, or of the first model for None, from a module in `drivers.facts`.
 
         Raises `KeyError` for an unknown model.
         """

@@ -16,7 +16,7 @@ STAYS_REMOTE: Final = "its front panel stays in remote: press its local key"
 class Attempts:
     """A series of attempts to make the bench safe; a failed attempt does not prevent the next.
 
-    An interruption such as Ctrl-C is held back and raised by `end`, after the other attempts.
+    If Ctrl-C or another interruption arrives during an attempt, `end` raises it after all attempts.
     """
 
     def __init__(self) -> None:
@@ -46,9 +46,10 @@ class Attempts:
         return "; ".join(self._told)
 
     def refuse_failed(self, name: str, what: str, remedy: str) -> None:
-        """If attempts failed, raise one error of the instrument `name` that states `what` failed and all causes.
+        """Raise one error of the instrument `name` if an attempt failed; `what` says what failed.
 
-        The error is `InstrumentLost` if every attempt failed with `InstrumentLost`, else `InstrumentRefused`.
+        The error also states all causes and the `remedy`. It is `InstrumentLost` if every attempt failed with
+        `InstrumentLost`, else `InstrumentRefused`.
         """
         self.end()
         if self._failures:

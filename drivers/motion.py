@@ -36,10 +36,10 @@ _LEAST_OF_SPEED: Final = 0.05
 
 @dataclass
 class TravelWatch:
-    """Supervision of one move of the head `name`, which begins at `start_rad` at the clock time `begun_s`.
+    """Supervision of one move of the head `name` from `start_rad`, begun at the clock time `begun_s`.
 
-    Within half the back-off of its target, the head may overshoot or stop: `Mover` decides whether it has
-    settled.
+    Once the head has come within half the back-off of its target, it may overshoot by as much, or stop there:
+    `Mover` decides whether it has settled.
     """
 
     name: str
@@ -56,7 +56,11 @@ class TravelWatch:
         self._was_near = self._left_rad <= self._near_rad
 
     def take(self, angle_rad: float, now_s: float) -> None:
-        """Check one reading of the angle. Raises `WentAstray`, and `InstrumentRefused` if the head stalled."""
+        """Check one reading of the angle, rad, at the clock time `now_s`.
+
+        Raises `WentAstray` if the head is outside its limits or moves away from its target, `InstrumentRefused` if
+        it stalled.
+        """
         if not self.travel.contains(angle_rad, self.travel.tolerance_rad):
             raise self._astray(angle_rad, f"outside its limits, {self.travel.text}")
         left_rad = abs(self.target_rad - angle_rad)
@@ -125,9 +129,9 @@ class Travel:
     """The limits of a head's moves and the criterion of arrival.
 
     The head stays within [`minimum_rad`, `maximum_rad`] at all times. Its final approach covers at least
-    `backoff_rad` in the requested direction. It has arrived when, for `settle_s`, all samples (one per
-    `poll_s`) were within `tolerance_rad` of the target. A move may take twice its time at `speed_rad_s`, plus
-    `settle_s` and 10 s. Raises `ValueError` for inconsistent values.
+    `backoff_rad` in the requested direction. It has arrived when it was within `tolerance_rad` of the target for
+    `settle_s`, read every `poll_s`. A move may take twice its time at `speed_rad_s`, plus `settle_s` and 10 s.
+    Raises `ValueError` for inconsistent values.
     """
 
     minimum_rad: float
@@ -139,7 +143,7 @@ class Travel:
     poll_s: float = 0.25
 
     def __post_init__(self) -> None:
-        """Raise `ValueError` for limits in the wrong order and for sizes that are not positive."""
+        """Raise `ValueError` for limits in the wrong order, values not positive, or too small a back-off."""
         if not self.minimum_rad < self.maximum_rad:
             raise ValueError(
                 f"the lowest angle {format_dms(self.minimum_rad)} of the head must be below the highest "

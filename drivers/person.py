@@ -105,7 +105,8 @@ class PlaceLevel(TypedDict):
 class ReadLevel(TypedDict):
     """Put a level on the platform, along the shaft or across it, and read its bubble.
 
-    One division is `division_rad`; the scale ends at ± `most_divisions`. `turned`: turn the level by half a turn.
+    One division is `division_rad`; the scale ends at ± `most_divisions`. If `turned`, the level is put there turned
+    by half a turn.
     """
 
     do: Literal["read_level"]
@@ -116,7 +117,7 @@ class ReadLevel(TypedDict):
 
 
 class LevelPlatform(TypedDict):
-    """Level the platform before the block is mounted in `installation`, for visit number `series`."""
+    """Level the platform before mounting number `series` of the block in `installation`."""
 
     do: Literal["level_platform"]
     installation: str
@@ -205,8 +206,8 @@ class WatchingPerson(Protocol):
 class AnsweredByInstrument(Exception):
     """Raised by `meanwhile` when an instrument answers in the person's place; `ask` passes it on.
 
-    `by` names the instrument ("encoder"), `text` is the answer. A `problem` says in a sentence why the answer does
-    not count: then the question is asked again.
+    `by` names the instrument ("encoder"), `text` is the answer. If the answer does not count, `problem` says why in
+    a sentence, and the question is asked again.
     """
 
     def __init__(self, by: str, text: str, problem: str = "") -> None:
@@ -225,10 +226,10 @@ class _HasInterval(Protocol):
 
 @contextmanager
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
-    """Call `look` while `person` has an open question, in addition to the present `meanwhile` of the person.
+    """Within the context, have `person` call `look` repeatedly while a question waits for its answer.
 
-    The interval is `every_s`, s, if the person has a `slice_s`. A person who is not a `WatchingPerson` never calls
-    `look`.
+    The calls come every `every_s`, s, if the person's interval can be set (`slice_s`). The person's own `meanwhile`
+    is still called, too. A person who is not a `WatchingPerson` never calls `look`.
     """
     if not isinstance(person, WatchingPerson):
         yield
@@ -276,10 +277,10 @@ def ask_until(
 ) -> _Read:
     """Ask a question until `read` accepts the answer; return the value from `read`.
 
-    The number of the attempt is added to the `id` of the prompt. The text of a repeated question begins with what
-    was wrong with the last answer; `again`, if given, is the question to repeat. `read` takes the answer's text and
-    raises `ValueError` with a sentence that says what is wrong. After `attempts` refused answers, `ValueError` with
-    the last sentence is raised; `NoAnswer` is raised if nobody can answer.
+    `read` takes the answer's text; to reject it, it raises `ValueError` with a sentence that says what is wrong.
+    The question is then repeated, or `again` in its place, preceded by this sentence. Each attempt adds its number
+    to the `id` of the prompt. Raises `ValueError` with the last sentence after `attempts` rejected answers, and
+    `NoAnswer` if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):

@@ -51,9 +51,10 @@ _NO: Final = frozenset({"n", "no"})
 class Approach:
     """The rules by which a head arrives at an angle.
 
-    The head approaches from at least `backoff_rad` away. It has arrived within `tolerance_rad` of the target when
-    its angle changed by no more than `rest_rad`, peak to peak, for `settle_s`. A change faster than `speed_rad_s`
-    is an error of the encoder. With `hands_free` nobody confirms; with `typed` a person also types the angle.
+    The head must come from at least `backoff_rad` away, and stop within `tolerance_rad` of the target. It is at
+    rest when its angle changed by no more than `rest_rad`, peak to peak, for `settle_s`. A change faster than
+    `speed_rad_s` is an error of the encoder. With `hands_free` nobody confirms the arrival; with `typed` a person
+    also types the angle.
     """
 
     tolerance_rad: float
@@ -83,7 +84,8 @@ class ScaleOfEncoder:
 class Track:
     """The recent angles of an encoder on the way to a target.
 
-    Offsets from the target count in the direction of approach: negative before it, positive beyond it, rad.
+    Offsets from the target, rad, are negative before the target and positive beyond it, as seen in the direction of
+    approach.
     """
 
     def __init__(self, approach: Approach, target_rad: float, direction: Direction) -> None:
@@ -98,9 +100,10 @@ class Track:
         self._backed_off = False
 
     def take(self, time_s: float, angle_rad: float) -> float | None:
-        """Add an angle read at a time.
+        """Add an angle read at a time and return None, unless the angle jumped.
 
-        If the angle jumped faster than a hand can turn the head, return the size of the jump, rad; else None.
+        A jump is faster than a hand can turn the head: then return by how much the angle jumped, rad, and do not
+        add it.
         """
         offset_rad = self._direction * wrapped_rad(angle_rad - self._target_rad)
         approach = self._approach
@@ -171,8 +174,8 @@ class Track:
 class ReadOutHead(ProvedInstrument):
     """The base class of each `DividingHead` that a person turns and a counter reads.
 
-    A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports its
-    reference mark. If not, the person is asked about the mark once for each connection.
+    A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports that its
+    reference mark was crossed. If it does not, the person is asked once for each connection.
     """
 
     def __init__(

@@ -48,9 +48,10 @@ _PATIENCE: Final = 1.5
 
 @dataclass(frozen=True, slots=True)
 class ProvenSetting:
-    """A command (None if an earlier command made the setting), the query that verifies it, and the expected reply.
+    """A setting: the command that makes it, the query that verifies it, and the expected reply.
 
-    A tuple in `wanted` holds one value per channel; the reply separates them by commas.
+    `command` is None if an earlier command makes the setting, too. A tuple in `wanted` holds one value per channel;
+    the reply separates them by commas.
     """
 
     command: str | None
@@ -62,9 +63,9 @@ class ScpiVoltmeter(ABC):
     """The base class of the SCPI voltmeters: a `Voltmeter` that lacks only the model's own commands.
 
     `channels` are the signals in scan order, or the only signal. `interface` is the one selected at the meter, even
-    behind an adapter; over RS-232 the meter must first be set to remote. `clock` measures how long an RS-232 meter
-    was idle: after some ten minutes it may have dropped back to local. `line_hz` is the mains frequency, which
-    determines how long a reading takes.
+    if an adapter is between; over RS-232 the driver first sets the meter to remote. `clock` measures how long an
+    RS-232 meter was idle: after some ten minutes it may have returned to local. `line_hz` is the mains frequency,
+    which determines how long a reading takes.
     """
 
     # Overridden by each model; the defaults are those of a 34401A.
@@ -172,7 +173,7 @@ class ScpiVoltmeter(ABC):
     def configure(self, settings: VoltmeterSettings) -> None:
         """Send the settings, read each back and query errors; over a new connection verify the identity first.
 
-        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` with all differences,
+        Raises `LimitExceeded` before anything is sent, `InstrumentRefused` that lists all settings not accepted,
         `InstrumentLost`, `BadReading`.
         """
         if wrong := self.limits.transgressions(settings):
@@ -216,8 +217,8 @@ class ScpiVoltmeter(ABC):
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading; return its samples in volts, `{"x": (1.2, …)}`.
 
-        Raises `BadReading` for an overload, a wrong format or number of samples, or a reading that was not
-        started over this connection; `InstrumentLost`, also if the meter lost power since it was configured;
+        Raises `BadReading` for an overload, a wrong format or number of samples, or if no reading was started over
+        this connection. Raises `InstrumentLost`, also if the meter lost power since it was configured, and
         `InstrumentRefused` for errors that the meter reports.
         """
         settings = self._settings

@@ -16,9 +16,10 @@ _NUMBER: Final = re.compile(r"[+-]? *\d+(?:\.\d*)?|[+-]? *\.\d+")
 
 
 class TextLine:
-    """A request to the instrument `name`, and the form of its reply: the group `group` of `pattern` is the number.
+    """A request to the instrument `name`, and the form of its reply, a line of text.
 
-    `errors` maps lines sent instead of a number to their meanings; `remedy` says what to do then.
+    The group `group` of `pattern` is the number in the reply. `errors` maps each line that may come instead to its
+    meaning; `remedy` says what to do then.
     """
 
     def __init__(

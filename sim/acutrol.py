@@ -1,6 +1,6 @@
 """A simulated rate table with an ACUTROL controller, on the head of the world.
 
-The words of a command may be abbreviated (`:M:P 1`). Each reply is an eight-character prefix with OK, ERR or a
+The words of a command may be abbreviated (`:M:P 1`). Each reply is a prefix of eight characters, then OK, ERR or a
 number. Source: the public ACUTROL client of the maker's robotics group, and its GPIB version.
 """
 
@@ -35,10 +35,10 @@ class _Refused(Exception):
 
 
 class AcutrolTable(PlainDialect):
-    """One axis of a rate table. A mode requires a closed interlock; the position mode starts to move at once.
+    """One axis of a rate table, whose modes can be entered only while its interlock is closed.
 
-    `speed_deg_s` is the rate limit of the position mode. A demand sent before its mode is entered takes effect on
-    entering the mode.
+    `speed_deg_s` is the speed of moves in the position mode. The table follows a demand for the present mode at
+    once, and a demand for another mode as soon as that mode is entered.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:
@@ -52,7 +52,7 @@ class AcutrolTable(PlainDialect):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one line; for several commands joined by `;` the reply is the last answer."""
+        """Answer one line; commands joined by `;` get one answer, that of the last or the first refused."""
         answer = ""
         for part in message.decode("ascii", "replace").split(";"):
             try:

@@ -1,8 +1,8 @@
 """A simulated HP/Agilent 34401A multimeter on one channel of the world.
 
-It accepts what drivers and other clients send; any other command gives -113. Every function can be selected and
-set, but the terminals carry only a DC voltage, and only the immediate trigger comes. Source: 34401A User's Guide
-(34401-90004), chapters 3-5; chapter 8, specifications.
+It accepts the commands that drivers and other clients send; any other command causes the error -113. Every function
+can be selected and set, but the terminals carry only a DC voltage. No trigger ever arrives from outside. Source:
+34401A User's Guide (34401-90004), chapters 3-5; chapter 8, specifications.
 """
 
 from __future__ import annotations
@@ -90,10 +90,10 @@ def _default_settings(function: Function) -> FunctionSettings:
 
 
 class Configuration:
-    """The measurement settings of the meter; `on_change` is called after a command changed them.
+    """The measurement settings of the meter; it calls `on_change` after a command has changed one.
 
-    A number between accepted values is replaced by the accepted value that still meets the request: the next
-    higher range or integration time, the next lower detector bandwidth, a resolution at least as fine.
+    A number between two accepted values is replaced by the one that still meets the request: the higher range or
+    integration time, the lower detector bandwidth, the finer resolution.
     """
 
     def __init__(self, on_change: Callable[[], None]) -> None:
@@ -110,7 +110,7 @@ class Configuration:
 
     @property
     def settings(self) -> FunctionSettings:
-        """The settings of the selected function; the function ratio uses the settings of DC volts."""
+        """The settings of the selected function; the ratio function uses those of DC volts."""
         return self.by_function[self.function.settings_of or self.function.name]
 
     @property
@@ -240,9 +240,9 @@ _INFINITE: Final = "9.90000000E+37"
 class Trigger(MeasuringCycle):
     """The trigger settings, the measurement in progress, and the memory.
 
-    The states are idle, INITiate or READ?, wait for a trigger, delay, sample. `on_overload` is called for each
-    reading outside the range; `interrupted` returns whether a device clear has arrived. A subclass for a later
-    model may have a larger memory that keeps the latest readings, including those of READ? (`keeps_latest`).
+    INITiate or READ? starts a measurement: the meter waits for a trigger, lets the delay pass, and samples.
+    `on_overload` is called for each reading outside the range. `interrupted` returns whether a device clear has
+    arrived. In a subclass with `keeps_latest`, the memory keeps the latest readings, including those of READ?.
     """
 
     memory_depth = facts.MEMORY_READINGS
@@ -270,14 +270,15 @@ class Trigger(MeasuringCycle):
         self.sample_count = 1
 
     def stop_waiting(self) -> None:
-        """If the meter waits for a trigger, become idle, because a setting of the measurement has changed."""
+        """Become idle if the meter waits for a trigger; called after a change of the measurement settings."""
         if self.state is TriggerState.WAITING:
             self.state = TriggerState.IDLE
 
     def initiate(self) -> None:
         """INITiate: start a measurement into memory.
 
-        Raises `ScpiError` -213 if one is in progress, 531 if the memory is too small, 522 as from `read`.
+        Raises `ScpiError` -213 if a measurement is in progress or waits for a trigger, 531 if the memory is too
+        small for its readings, 522 for more than `most_readings` readings.
         """
         self._require_idle()
         if not self.keeps_latest and self.trigger_count * self.sample_count > self.memory_depth:
@@ -285,11 +286,11 @@ class Trigger(MeasuringCycle):
         self._begin(keeps=True)
 
     def read(self) -> str | None:
-        """READ?: measure and return the readings without storing them.
+        """READ?: measure and return the readings; only with `keeps_latest` are they also stored.
 
-        With an external trigger there is no reply, and the meter waits until a device clear. Raises
-        `ScpiError` -213 if a measurement is in progress, -214 for the trigger source BUS, 522 (unsupported by
-        this simulation) for more readings than the largest sample count.
+        With an external trigger there is no reply: the meter waits until a device clear. Raises `ScpiError` -213 if
+        a measurement is in progress or waits for a trigger, -214 for the trigger source BUS, 522 for more than
+        `most_readings` readings, which is a limit of this simulation.
         """
         self._require_idle()
         if self.source == "BUS":
@@ -405,12 +406,13 @@ _COMMA_AFTER_LAST: Final = ("3-1-1", "7-5-2")
 class Agilent34401A(LineMeter):
     """A 34401A with its settings and trigger system.
 
-    It measures `source` at the time of `clock`. See `LineMeter` for `interface`, `Converter` for `noise`,
-    `accuracy` and `flaws`. `firmware` is the end of its identity; "3-1-1" prints a comma after the last reading.
-    `errors_at_start` are errors in its queue at switch-on, as an adapter's own *IDN? causes (xyphro/UsbGpib issue
-    41). `real_port` is the port of the User's Guide, pages 151-152: its buffer has some 100 characters; characters
-    sent between a query and its reply are lost, even Ctrl-C; after ten idle minutes it sends nothing until
-    SYSTem:REMote.
+    It measures `source` at the time of `clock`. `RemoteInstrument` explains `interface`; `Converter` explains
+    `noise`, `accuracy` and `flaws`. `firmware` replaces the last field of the identity; "3-1-1" and "7-5-2" print a
+    comma after the last reading. `errors_at_start` are in the error queue after switch-on, as if an adapter had
+    sent its own *IDN? (xyphro/UsbGpib issue 41).
+    With `real_port`, RS-232 behaves as on pages 151-152 of the User's Guide: the buffer has some 100 characters,
+    and characters sent between a query and its reply are lost, even Ctrl-C. After ten idle minutes the meter then
+    ignores everything but SYSTem:REMote.
     """
 
     model = facts.MODELS[0]
@@ -456,11 +458,11 @@ class Agilent34401A(LineMeter):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends, with the small buffer of a real RS-232 port, which overflows while a reply is due."""
+        """The line ends; a real RS-232 port also has a small buffer, and loses input while a reply is due."""
         return _REAL_PORT if self._real_port else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:
-        """Carry out one message; a real RS-232 port that was idle for long answers only after SYSTem:REMote."""
+        """Carry out one message; after ten idle minutes a real RS-232 port ignores all but SYSTem:REMote."""
         if self._real_port and self._clock.now_s() - self._heard_s > _IDLE_S and not _REMOTE.match(message):
             return None
         reply = super().handle(message, interrupted)

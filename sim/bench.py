@@ -32,11 +32,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimulatedMeter:
-    """One voltmeter: its constructor `make`, the block channels at its inputs, and its options.
+    """A voltmeter to simulate: its constructor, the channels of the block at its inputs, its options.
 
-    `make` is called with the wiring, the clock and the `options`. The wiring is a channel's terminals or, for a
-    meter with several inputs, a dict by input number. For such a meter `inputs` maps channels to input
-    numbers, and `probes` maps other input numbers to sensors.
+    The constructor `make` is called with the wiring, the clock and the `options`. The wiring is the terminals of
+    one channel or, for a meter with several inputs, a dict from input number to signal. For such a meter `inputs`
+    maps channels to input numbers, and `probes` maps further input numbers to temperature sensors.
     """
 
     make: Callable[..., ScpiInstrument]
@@ -57,9 +57,9 @@ class SimulatedMeter:
 
 
 class Elsewhere:
-    """The world as seen by a thermometer elsewhere: block and air have the temperature at the thermometer.
+    """The world of a thermometer that is not at the block: block and air have the thermometer's temperature.
 
-    `at_c` returns this temperature, °C, at a time, s.
+    `at_c` returns this temperature, °C, at a time of the clock, s, or now for None.
     """
 
     def __init__(self, world: World, at_c: Callable[[float | None], float]) -> None:
@@ -80,14 +80,14 @@ class Elsewhere:
 class SimulatedBench:
     """A context manager that serves the instruments of a world.
 
-    `instruments` maps each name on the bench to a meter or to any dialect over the world; a dialect may state its
-    `model`. Each instrument gets a TCP port on `host` (any free port, or consecutive ports from `first_port`), and
-    a pseudo-terminal if `with_terminals` names it or is True. `buses` puts instruments on the GPIB bus of an
-    adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options` are options of
-    the `GpibAdapter`. Each of the `faults` is armed for the instrument that it names, or for every instrument that
-    can have it. Within the context `resources` maps names to VISA resources, `dialects` to the instruments,
-    `faulty` and `wired` to the layers around them, `servers` and `terminals` to their wires. A virtual clock of the
-    world advances only after all commands on the wires have been carried out.
+    `instruments` maps each name on the bench to a meter or to another dialect on the world; a dialect may state its
+    `model`. Each instrument gets a TCP port on `host`: any free port, or consecutive ports from `first_port`. It
+    also gets a pseudo-terminal if `with_terminals` is True or contains its name. `buses` puts instruments on the
+    GPIB bus of an adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options`
+    are options of each `GpibAdapter`. Each of the `faults` is armed as by `arm`.
+    By name, `resources` holds VISA resources, `dialects` the instruments, `faulty` the instruments with faults,
+    `wired` the instruments as their wires share them, `servers` and `terminals` the wires. Within the context, a
+    virtual clock of the world advances only after all commands on the wires have been carried out.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class SimulatedBench:
     ) -> None:
         """Prepare the instruments and arm the faults.
 
-        Raises `ValueError` for a fault of an unknown instrument, or of one that cannot have it.
+        Raises `ValueError` for a fault as `arm` does, and for an instrument on a bus that does not use SCPI.
         """
         self.world = world
         self._of_adapter = dict(adapter_options or {})

@@ -27,9 +27,11 @@ _PROTECT: Final = re.compile(r"KEYPROTECT,(ON|OFF)\Z")
 
 
 class EspecP300(PlainDialect):
-    """An Espec P300 controller; `noise_c` is the standard deviation of its sensor, °C, `name` its reply to TYPE?.
+    """An Espec P300 controller: at first in standby, with a set point of 23 °C.
 
-    After switch-on it is in standby with a set point of 23 °C. `alarms` may be set from outside.
+    `name` is the controller's name in the reply to TYPE?. The set point is limited to `lowest_c` … `highest_c`, °C.
+    `noise_c` is the standard deviation of the sensor's noise, °C. `alarms`, the numbers of the present alarms, may
+    be set from outside.
     """
 
     def __init__(
@@ -200,10 +202,10 @@ OLD_F4T_IDENTITY: Final = "Watlow Electric,F4T,12345,03:01:0004"
 
 
 class WatlowF4T(ScpiInstrument):
-    """A Watlow F4T controller with the control loop `loop` and the output `output`, which switches conditioning on.
+    """A Watlow F4T controller with the control loop `loop`; the output `output` switches conditioning on.
 
-    `unit` is its temperature unit; `old_firmware` uses °F and has no query for the unit. `error` is an error of
-    the loop, such as a broken sensor.
+    `unit` is its temperature unit; `old_firmware` uses °F and has no query for the unit. Set `error` to simulate an
+    error of the loop, such as a broken sensor.
     """
 
     def __init__(

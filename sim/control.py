@@ -1,7 +1,7 @@
 """Control of a simulated bench from outside: turn the head, change the world, inject faults.
 
-Each line of text is answered by a line of JSON: `turn 45 deg` -> `{"ok": true, …}` with the state, a mistake ->
-`{"ok": false, "error": "…"}`. The control is served like an instrument, by `sim.wires.server.TcpServer`.
+Each line of text has one line of JSON as reply: `turn 45 deg` gives `{"ok": true, …}` with the state, a mistake
+gives `{"ok": false, "error": "…"}`. The control is served like an instrument, by `sim.wires.server.TcpServer`.
 """
 
 from __future__ import annotations

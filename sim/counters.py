@@ -1,5 +1,6 @@
-"""Simulated counters of an encoder on the head (Heidenhain ND 281B and ND 287, MUX-10, a line), a line thermometer.
+"""Simulated counters of an encoder on the head, and a simulated thermometer that sends lines of text.
 
+The counters are a Heidenhain ND 281B or ND 287, one with the MUX-10 format, and one that sends lines of text.
 Sources: see their facts. The encoder has neither errors nor noise: it shows the angles of the head's scale.
 """
 
@@ -20,9 +21,10 @@ if TYPE_CHECKING:
 
 
 class Counter(PlainDialect):
-    """A counter that shows `zero_deg` at 0° of the scale; if `falling`, its value falls while the angle rises.
+    """A counter that shows `zero_deg` at 0° of the head's scale.
 
-    Unless `referenced`, it was just switched on and counts from the present angle of the head.
+    The value of a `falling` counter falls while the angle of the head rises. A counter that is not `referenced` was
+    just switched on: it counts from zero at the present angle of the head.
     """
 
     def __init__(
@@ -52,7 +54,7 @@ class Counter(PlainDialect):
         self._lost_deg, self.referenced, self.failed = 0.0, True, False
 
     def lose_counts(self, lost_deg: float) -> None:
-        """Lose counts worth `lost_deg` without any message."""
+        """Reduce the value by `lost_deg`, degrees, without any message, as if the counter had missed counts."""
         self._lost_deg += lost_deg
 
     def fail(self) -> None:
@@ -61,7 +63,10 @@ class Counter(PlainDialect):
 
 
 class HeidenhainNd28x(Counter):
-    """A display unit of the given `model`, set to decimal degrees with four decimals; `options` as in `Counter`."""
+    """A display unit of the `model` ND-281B or ND-287, set to decimal degrees with four decimals.
+
+    `options` are the arguments of `Counter`.
+    """
 
     line_ends = LineEnds((nd.WRITE_TERMINATION.encode(),), reply=b"\r\n", clears=False)
 
@@ -106,7 +111,7 @@ class HeidenhainNd28x(Counter):
 
 
 class MitutoyoMux10(Counter):
-    """A counter in the MUX-10 form, with the encoder on `channel`; `options` as in `Counter`."""
+    """A counter in the MUX-10 format; its encoder is on `channel`, and `options` are arguments of `Counter`."""
 
     model = mitutoyo_mux10.MODEL
     line_ends = LineEnds((b"\r",), reply=b"\r")
@@ -116,7 +121,7 @@ class MitutoyoMux10(Counter):
         self._channel = str(channel)
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Return a reading for the channel's number; None for any other message."""
+        """Return a reading if the message is the channel's number; None for any other message."""
         if message.strip() != self._channel.encode():
             return None
         return b"911" if self.failed else f"0{self._channel}A{self.shown_deg:+09.4f}".encode("ascii")
@@ -156,8 +161,9 @@ class _Reply:
 class EncoderLine(Counter):
     """A counter that answers `request` with a line like `example`, in which `pattern` finds the number.
 
-    `per_turn` units make a turn. Messages end in `ends[0]`, replies in `ends[1]`. With a failed signal it answers
-    with the first of the `errors`, or with "?" if there is none. `options` as in `Counter`.
+    `per_turn` units make a turn. Messages end in `ends[0]`, replies in `ends[1]`. If the encoder's signal has
+    failed, the reply is the first of the `errors`, or "?" if there is none. `options` are the arguments of
+    `Counter`.
     """
 
     model = text_line.MODEL
@@ -185,7 +191,7 @@ class EncoderLine(Counter):
 
 
 class LineThermometer(PlainDialect):
-    """A thermometer at the block that answers as an `EncoderLine` does, with its constant error `error_c`."""
+    """A thermometer at the block, with the constant error `error_c`, °C; it answers as `EncoderLine` does."""
 
     model = text_line.MODEL
 

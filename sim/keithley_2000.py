@@ -135,10 +135,10 @@ class Buffer(MeasuringCycle):
 
 
 class Keithley2000(ScpiInstrument):
-    """A Keithley 2000; it measures the signal `source` at the time of `clock`.
+    """A Keithley 2000, which measures the signal `source` at the time of `clock`.
 
-    See `Converter` for `noise` and `accuracy`. Over RS-232 `line_end` ends its replies, and CR, LF or both end a
-    message. `interface` is the selected interface; all commands are accepted over either.
+    `Converter` explains `noise` and `accuracy`. `interface` is the selected interface; all commands are accepted
+    over both. Over RS-232 a message may end in CR, LF or both; each reply ends in `line_end`.
     """
 
     def __init__(

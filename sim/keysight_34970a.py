@@ -60,9 +60,9 @@ _ERRORS: Final = {
 class Keysight34970A(LineMeter):
     """A 34970A or 34972A. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
 
-    `cards` maps each occupied slot (100, 200, 300) to its card. See the 34401A for `interface`, `noise` and
-    `accuracy`. All channels share the gain error and offset of the one converter. Raises `ValueError` for a
-    channel that is not on the cards.
+    `cards` maps each occupied slot (100, 200, 300) to its card. `interface`, `noise` and `accuracy` are those of an
+    `Agilent34401A`. The meter has one converter, so all channels share its gain error and offset. Raises
+    `ValueError` for a channel that is not on the cards.
     """
 
     beside_measuring = ("INITiate",)
@@ -285,10 +285,10 @@ _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A temperature sensor on the block, of a type in `SENSORS`, with a constant error `error_c`.
+    """A temperature sensor on the block, of a type in `SENSORS`; to a meter set to volts it is a short.
 
-    It shows the block's temperature, shifted by the fraction `air_share` of the difference to the chamber's air,
-    with noise of the standard deviation `noise_c`. To a meter set to volts it is a short.
+    It shows the block's temperature plus three terms, °C: the fraction `air_share` of the difference between
+    chamber air and block, the constant error `error_c`, and noise of the standard deviation `noise_c`.
     """
 
     def __init__(
@@ -328,10 +328,10 @@ class Probe:
         return self._world.fixed_random(purpose, "thermometer")
 
     def shown_c(self, configured: str, time_s: float) -> float:
-        """Return the temperature, °C, shown by a meter configured for the sensor `configured`, such as "FRTD,85".
+        """Return the temperature, °C, that a meter configured for the sensor `configured` ("FRTD,85") shows.
 
-        A four-wire Pt100 measured with two wires shows the resistance of its leads, too. Any other mismatch gives
-        an overload.
+        A meter configured for two wires adds the resistance of the leads of a four-wire Pt100. Any other sensor
+        than `configured` gives an overload.
         """
         block_c = self._world.block_c_at(time_s)
         felt_c = block_c + self._air_share * (self._world.chamber_c - block_c) + self._error_c

@@ -52,7 +52,7 @@ _NOT_HERE: Final = 305
 
 @dataclass(frozen=True, slots=True)
 class Transducer:
-    """A channel's temperature sensor: `kind` as in replies ("FRTD"), `type` as its number (85)."""
+    """A channel's temperature sensor: the `kind` as in replies ("FRTD"), and the number of its `type` (85)."""
 
     kind: str = "TC"
     type: int = 85
@@ -92,7 +92,7 @@ _ITEM: Final = re.compile(r"(\d{3})(?::(\d{3}))?")
 
 
 class ChannelList:
-    """A channel list as a parameter, `(@101:103,105)`, or a number or word if `or_number` is given.
+    """A channel list as a parameter, `(@101:103,105)`; with `or_number`, a number or word is accepted, too.
 
     The value of a list is its text, which `listed` converts to channels.
     """
@@ -257,9 +257,9 @@ _EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
 class Scan(MeasuringCycle):
     """The scan list, the trigger settings, the scan in progress, and the memory of the latest readings.
 
-    `channels` maps each channel to its settings and converter, `inputs` to its signal. Raises `ScpiError` 305 at
-    the start of an endless scan (TRIGger:COUNt INFinity), which is not simulated, or of a scan that exceeds the
-    memory.
+    `channels` maps each channel to its settings and converter, `inputs` maps it to its signal. A scan that exceeds
+    the memory raises `ScpiError` 305 at its start. So does a scan without end (TRIGger:COUNt INFinity), because the
+    simulation has none.
     """
 
     memory_depth = MEMORY_READINGS
@@ -292,7 +292,8 @@ class Scan(MeasuringCycle):
     def initiate(self) -> None:
         """INITiate: scan into memory.
 
-        Raises `ScpiError` -213 during a scan, 305 for an empty scan list or as stated for the class.
+        Raises `ScpiError` -213 if a scan is in progress or waits for a trigger, 305 for an empty scan list, and for
+        a scan without end or beyond the memory.
         """
         self._require_idle()
         if not self.channel_list or self.count * len(self.channel_list) > self.memory_depth:

@@ -29,7 +29,7 @@ _SET_AVERAGES: Final = re.compile(r"W N (\d{3})")
 
 
 class LeicaNivel(PlainDialect):
-    """One Nivel sensor with the address N`sensor`; `along` and `across` are its axes as in a bench file."""
+    """A Nivel sensor with the address N`sensor`; its axes `along` and `across` are named as in a bench file."""
 
     model = "Nivel210"
 

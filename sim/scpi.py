@@ -44,7 +44,7 @@ class DeviceClear(Exception):
 
 
 def never() -> bool:
-    """Return False: a message that did not come over a wire has no device clear."""
+    """Return False: a message that did not come over a wire is never interrupted by a device clear."""
     return False
 
 
@@ -64,7 +64,8 @@ class Command:
 class ScpiInstrument:
     """The base of every simulated SCPI instrument, which parses messages and carries them out.
 
-    `identity` answers *IDN?; `errors` adds the instrument's own error texts to those of the standard.
+    `identity` is the reply to *IDN?. `errors` adds the instrument's own error texts, by number, to those of the
+    standard.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str] | None = None) -> None:
@@ -117,7 +118,7 @@ class ScpiInstrument:
     # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Called before a command's parameters are parsed: wait for a measurement, or raise `ScpiError`."""
+        """Do nothing; a subclass waits or raises `ScpiError` here, before a command's parameters are parsed."""
 
     def reset(self) -> None:
         """Carry out *RST; a subclass resets its settings."""
@@ -127,7 +128,7 @@ class ScpiInstrument:
         return 0
 
     def number(self, value: float) -> str:
-        """Format `value`, rounded, as the instrument does: `+20`."""
+        """Return `value` as a rounded number in the instrument's format: `+20`."""
         return integer(value)
 
     def device_clear_pending(self) -> bool:
@@ -228,8 +229,9 @@ _ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS",
 class RemoteInstrument(ScpiInstrument):
     """An instrument with local and remote mode; `interface` is the interface that it is set to.
 
-    "rs232" refuses (+550) all commands but identification, errors and SYSTem:REMote until SYSTem:REMote was sent.
-    "gpib" refuses the SYSTem:REMote family (+514). "lan" accepts both and requires neither.
+    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but identification,
+    errors, status and the SYSTem:REMote family. One set to "gpib" always refuses this family (+514). One set to
+    "lan" refuses nothing.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:
@@ -301,9 +303,9 @@ def number_lines(
     get: Callable[[], float],
     put: Callable[[float], None],
 ) -> list[Command]:
-    """Return the command and the query of a number; both accept MIN and MAX, which mean the two `ends`.
+    """Return the command and the query of a number, whose least and greatest values are `ends`.
 
-    `get` returns the number and `put` sets it.
+    `put` sets the number and `get` returns it. Command and query accept MIN and MAX for the two `ends`.
     """
     words = dict(zip((MIN, MAX), ends, strict=True))
     return [

@@ -92,7 +92,7 @@ class ErrorQueue:
 
 
 class EventRegister:
-    """The standard event register, which reading clears. A power cycle sets POWER_ON."""
+    """The standard event register: reading clears it, and a power cycle sets the bit POWER_ON."""
 
     def __init__(self) -> None:
         self.bits = POWER_ON
@@ -185,7 +185,7 @@ class CommandParameter(Protocol):
 
 @dataclass(frozen=True)
 class Number:
-    """A number in `unit` (if empty, no suffix is allowed), or one of the `words` out of MIN, MAX, DEF, INF."""
+    """A number with an optional suffix of `unit` (none if empty), or one of the `words` MIN, MAX, DEF, INF."""
 
     unit: str = ""
     words: tuple[str, ...] = (MIN, MAX)
@@ -241,7 +241,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Boolean:
-    """ON, OFF, or a number, which is rounded and counts as true unless zero; additional `words` as in `Choice`."""
+    """ON, OFF, a number (false if it rounds to zero), or one of the additional `words` as in `Choice`."""
 
     words: tuple[str, ...] = ()
     optional: bool = False
@@ -348,9 +348,10 @@ def next_above(value: float, accepted: Sequence[float]) -> float:
 
 
 def next_below(value: float, accepted: Sequence[float]) -> float:
-    """Return the largest of the `accepted` numbers (ascending) that is not above `value`, within 1e-6.
+    """Return the largest of the `accepted` numbers (ascending) that is not above `value`.
 
-    Raises `ScpiError` -222 if there is none.
+    Raises `ScpiError` -222 if there is none. A relative tolerance of 1e-6 absorbs rounding in the transmitted
+    number.
     """
     fitting = [number for number in accepted if number <= value * (1.0 + 1e-6)]
     if not fitting:
@@ -359,7 +360,7 @@ def next_below(value: float, accepted: Sequence[float]) -> float:
 
 
 def number_of(value: Value, low: float, high: float) -> float:
-    """Return a number, or the end that MIN (`low`) or MAX (`high`) stands for."""
+    """Return the number `value`, or `low` for MIN and `high` for MAX."""
     return {MIN: low, MAX: high}[value] if isinstance(value, str) else value
 
 

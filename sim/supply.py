@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Outputs:
-    """The outputs of a supply in a world, by name; `limits` are their limits in the supply's facts.
+    """The outputs of a supply in a world, by name; `limits` are their limits from the supply's facts.
 
     `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains power
-    returns, to set the supply's state. With `one_switch` all outputs are switched together.
+    returns, and sets the supply's state. With `one_switch` a front-panel switch acts on all outputs.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class Outputs:
         return self._world.clock.now_s() if self._back_s is None else self._back_s
 
     def span(self, name: str, what: str) -> tuple[float, float]:
-        """Return the two limits of a setting of an output; the limit nearest to zero comes first."""
+        """Return the two limits of a setting of an output; the limit nearer to zero comes first."""
         low, high = sorted((float(value) for value in self.limits[name][what]), key=abs)
         return low, high
 
@@ -107,7 +107,10 @@ WORDS: Final = (MIN, MAX, DEF)
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: outputs of a world, one of them selected; `facts` are the supply's."""
+    """The base of the Keysight supplies: outputs of a world, one of them selected.
+
+    `facts` is the supply's module in `drivers.facts`.
+    """
 
     def __init__(
         self,

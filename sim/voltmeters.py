@@ -27,11 +27,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Function:
-    """A measuring function: its name in replies, its notation in commands, its ranges in `unit` (ascending).
+    """A measuring function of a meter; its `ranges` ascend, in `unit`.
 
-    `integration` maps each resolution (fraction of the range) to the integration time in power-line cycles, or to
-    the gate time in s. `keyword` is the SENSe node that sets this time, or empty. `settings_of` names another
-    function whose range and resolution this function uses. A `fixed` function has no settings.
+    `name` stands for it in replies, `notation` in commands. `integration` maps each resolution (fraction of the
+    range) to the integration time in power-line cycles, or to the gate time in s. `keyword` is the SENSe node that
+    sets this time, or empty. `settings_of` names the function whose range and resolution this function uses, too. A
+    `fixed` function has no settings.
     """
 
     name: str
@@ -69,7 +70,7 @@ class FunctionSettings:
 
 
 def chosen_range(function: Function, value: Value) -> float:
-    """Return the smallest range that holds `value`; MIN is the lowest, another word the highest.
+    """Return the smallest range that holds `value`; for MIN the lowest, for any other word the highest.
 
     Raises `ScpiError` -222 for a value outside all ranges.
     """
@@ -79,9 +80,10 @@ def chosen_range(function: Function, value: Value) -> float:
 
 
 def chosen_resolution(function: Function, value: Value, full_scale: float) -> float:
-    """Return the coarsest resolution (fraction of the range) that is at least as fine as `value`.
+    """Return the coarsest resolution, a fraction of the range, that is at least as fine as `value`.
 
-    Raises `ScpiError` 532 if even the finest is too coarse, -222 for a resolution that is not positive.
+    `value` and the range `full_scale` are in the function's unit. Raises `ScpiError` 532 if even the finest
+    resolution is too coarse, -222 if `value` is not positive.
     """
     steps = function.integration
     if isinstance(value, str):
@@ -99,15 +101,15 @@ def chosen_resolution(function: Function, value: Value, full_scale: float) -> fl
 # measured on meters of this class.
 
 Accuracy = Literal["90 days"] | Mapping[float, tuple[float, float]]
-"""The errors of a simulated meter: drawn within its 90-day limits, or {range: (gain error, offset in V)}."""
+"""Errors of a simulated meter: drawn within ± half its 90-day limits, or {range: (gain, offset in V)}."""
 
 _NOISE_OF_RANGE: Final = {
     200.0: 0.8e-7, 100.0: 1e-7, 20.0: 2e-7, 10.0: 2.5e-7, 2.0: 6e-7, 1.0: 8e-7, 0.2: 3e-6, 0.02: 3e-5,
 }  # fmt: skip
-"""Standard deviation of one sample, a fraction of the range, by integration time in NPLC."""
+"""Standard deviation of one sample's noise, a fraction of the range, by integration time in NPLC."""
 
 _NOISE_OF_INPUT_V: Final = 0.4e-6
-"""Noise of the input amplifier at 1 NPLC, V, which dominates in the 100 mV range."""
+"""Standard deviation of the input amplifier's noise at 1 NPLC, V; it dominates in the 100 mV range."""
 
 _FAST_INTEGRATION_S: Final = {0.02: 400e-6, 0.2: 3e-3}
 _AC_SETTLING_S: Final = {3.0: 7.0, 20.0: 1.0, 200.0: 0.6}
@@ -169,10 +171,11 @@ class Measurement(Protocol):
 class InputFlaws:
     """Errors that real wiring and a real input add to a signal; all zero for an ideal input.
 
-    `source_ohm` is the resistance of the source, which an input of 10 MOhm loads. `mains_v` is the amplitude of
-    the mains voltage on the signal; an integration over whole cycles cancels it. `zero_drift_v_s` is the drift of
-    the zero with autozero off, V/s. `flicker_v` is the standard deviation of 1/f noise per decade of frequency;
-    `reference_flicker` is that of the meter's reference, as a fraction of the signal.
+    `source_ohm` is the resistance of the source; an input of 10 MOhm (10 GOhm at high impedance) loads it.
+    `mains_v` is the amplitude of the mains voltage on the signal; an integration over whole cycles cancels it. With
+    autozero off, the zero drifts by `zero_drift_v_s`, V/s, from time 0 of the clock.
+    `flicker_v` is the standard deviation, V, of the input's 1/f noise per decade of frequency; `reference_flicker`
+    is that of the meter's reference, as a fraction of the signal.
     Sources: 34401A User's Guide, chapter 7, "Loading errors", "Rejecting power-line noise voltages"; E1412A data
     sheet (autozero off).
     """
@@ -184,11 +187,11 @@ class InputFlaws:
     reference_flicker: float = 0.0
 
     def loading(self, input_ohm: float) -> float:
-        """Return the fraction of the source's voltage that is left at an input of `input_ohm`."""
+        """Return the fraction of the source's voltage that remains at an input of the resistance `input_ohm`."""
         return 1.0 / (1.0 + self.source_ohm / input_ohm)
 
     def pick_up_v(self, aperture_s: float, line_hz: float, phase_rad: float) -> float:
-        """Return the mean of the mains voltage over an integration that begins at `phase_rad`, V."""
+        """Return the mean of the mains voltage over an integration whose middle is at `phase_rad`, V."""
         cycles = aperture_s * line_hz
         if not self.mains_v or math.isclose(cycles, round(cycles), abs_tol=1e-9):
             return 0.0
@@ -202,14 +205,16 @@ _HIGH_IMPEDANCE_OHM: Final = 10e9
 
 
 class Converter:
-    """The converter from the voltage at the terminals to readings, with the ranges and errors in `facts`.
+    """The converter from the voltage at the terminals to readings; `facts` has the ranges and error limits.
 
-    With `noise` a sample has white noise according to its integration time and is rounded to the resolution;
-    without noise it is exact (although a reply has only 8 decimals). `accuracy` "90 days" draws a gain error, an
-    offset and their temperature coefficients for each range once, within half the limits of error; any other value
-    states the errors itself. `flaws` are the fields of `InputFlaws`. The terminals carry only a DC voltage: AC
-    functions, current, frequency and period read zero; resistance, continuity and diode see open leads; the ratio
-    has no reference. While `overloaded` is set, every sample is beyond the range.
+    With `noise`, each sample has white noise that depends on its integration time, and is rounded to the
+    resolution; without, samples are exact (a reply still has only 8 decimals).
+    With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature coefficients,
+    uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the errors instead; a range
+    that it lacks has none. None means no errors.
+    `flaws` are the fields of `InputFlaws`; None means an ideal input.
+    The terminals carry only a DC voltage: AC functions, current, frequency and period read zero; resistance,
+    continuity, diode and ratio give an overload. While `overloaded` is set, every sample is an overload.
     """
 
     def __init__(
@@ -260,7 +265,7 @@ class Converter:
     # --- value --------------------------------------------------------------------------------------
 
     def begin(self) -> None:
-        """Begin a measurement: announce a new reading to the source and get its noise generator."""
+        """Begin a measurement: announce a new reading to the source and get the generator of its noise."""
         self._source.new_reading()
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
@@ -295,7 +300,10 @@ class Converter:
         return signal_v + self._flicker("voltmeter flicker", flaws.flicker_v, time_s)
 
     def _flicker(self, purpose: str, deviation: float, time_s: float) -> float:
-        """Return 1/f noise of `deviation` per decade: per decade four sines of equal power and fixed phase."""
+        """Return 1/f noise at `time_s`, with the standard deviation `deviation` per decade of frequency.
+
+        It is a sum of sines with fixed phases: four of equal power in each decade.
+        """
         if not deviation:
             return 0.0
         drawn = self._source.fixed_random(purpose).random((len(_FLICKER_DECADES), 4, 2))
@@ -355,7 +363,7 @@ class Converter:
         return range_v if range_v == highest_v else range_v * float(self._facts.OVER_RANGE)
 
     def _autorange(self, signal_v: float, range_v: float) -> float:
-        """Return a higher range for a signal above the present range, a lower range for one far below it."""
+        """Return a higher range if the signal exceeds the present range, a lower one if it is far below it."""
         ranges: tuple[float, ...] = self._facts.RANGES_V
         if abs(signal_v) > self._full_scale(range_v):
             return next((r for r in ranges if abs(signal_v) <= self._full_scale(r)), ranges[-1])
@@ -425,7 +433,7 @@ class LineMeter(RemoteInstrument):
 
     @property
     def overloaded(self) -> bool:
-        """Whether every input is overloaded, whatever the voltage at the terminals."""
+        """Whether an input is overloaded, whatever the voltage there; setting it acts on all inputs."""
         return any(converter.overloaded for converter in self.converters)
 
     @overloaded.setter
@@ -443,11 +451,12 @@ class TriggerState(Enum):
 
 
 class MeasuringCycle(ABC):
-    """The trigger system: idle, start, wait for a trigger, measure; `source` is the trigger source.
+    """The trigger system of a meter, which is idle, waits for a trigger, or measures.
 
-    The latest `memory_depth` readings are kept. `interrupted` returns whether a device clear has arrived. A
-    measurement whose client has left is aborted when another client would have to wait for it, except on a
-    virtual clock, where a wait takes no real time.
+    `source` is the trigger source. The memory keeps the latest `memory_depth` readings. `interrupted` returns
+    whether a device clear has arrived. If the client that started a measurement has disconnected, the measurement
+    is aborted as soon as another client would have to wait for it. Not so on a virtual clock, where a wait takes no
+    real time.
     """
 
     memory_depth: int
@@ -478,7 +487,7 @@ class MeasuringCycle(ABC):
     def sent_by(self, left: Callable[[], bool]) -> None:
         """Store `left`, which returns whether the client of the following commands has disconnected.
 
-        A measurement whose client has disconnected is then aborted.
+        Also abort a measurement in progress whose own client has disconnected.
         """
         if self._client_has_left:
             self.abort()

@@ -77,9 +77,9 @@ CHANNEL_DELAY_S: Final = 0.1
 class Sensor:
     """A temperature sensor: `configured` is the argument of CONF:TEMP that selects it.
 
-    `proved` lists the queries that verify it, with their replies. `meter_c` and `probe_c` are limits of error
-    of meter and probe, °C; the probe's limit grows by `probe_slope` per degree from 0 °C. With four wires the
-    sense pair is `pair` channels higher; a `pair` of 0 means two wires.
+    `proved` lists the queries that verify it, with their replies. The limits of error, °C, are `meter_c` for the
+    meter and `probe_c` for the sensor; that of the sensor grows by `probe_slope` per degree from 0 °C. The sense
+    wires of a four-wire sensor are `pair` channels higher; a two-wire sensor has `pair` 0.
     """
 
     words: str

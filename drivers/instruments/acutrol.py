@@ -28,9 +28,9 @@ _NUMBER: Final = rf"{_PREFIX} *[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)? *"
 class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
-    Below the rate `still_rad_s` the table counts as at rest. The controller determines the speed of a move; the
-    speed in `travel` only limits its duration. Angles are sent rounded to 0.001°. Raises `ValueError` if the
-    tolerance is less than the rounding error, 0.0005°.
+    A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the speed in
+    `travel` only sets the longest time that a move may take. Angles are sent rounded to 0.001°. Raises `ValueError`
+    if the tolerance is less than the rounding error, 0.0005°.
     """
 
     def __init__(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SingleChannelDialect:
-    """The differences between a 34401A and related meters: two command headers and the limits (memory size)."""
+    """What differs between a 34401A and related meters: two command headers and the limits of the settings."""
 
     autozero: str
     high_impedance: str

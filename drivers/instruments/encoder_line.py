@@ -1,4 +1,4 @@
-"""A counter that answers a request with one line of text, and that measures a head turned by a person."""
+"""A counter that replies with one line of text and measures the angle of a head that a person turns."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 class EncoderLine(ReadOutHead):
     """A `DividingHead` with an encoder on a counter that the bench file describes.
 
-    `model` is the counter's name in the record. The counter answers `request` with one line, which must match
-    `pattern`. The group `angle` of the pattern is the number; `per_turn` units make a turn. `errors` maps
-    each line that the counter sends instead of an angle to its meaning.
+    `model` is the counter's name in the record. The counter replies to `request` with one line. The `pattern` must
+    match the whole line, and its group `angle` is the number; `per_turn` units make a turn. `errors` maps each line
+    that the counter sends instead of an angle to its meaning.
     """
 
     def __init__(

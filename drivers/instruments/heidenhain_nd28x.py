@@ -1,4 +1,4 @@
-"""A Heidenhain ND 281B or ND 287 that measures the angle of a head turned by a person.
+"""A Heidenhain ND 281B or ND 287 that measures the angle of a head; a person turns the head.
 
 Source: see `drivers.facts.heidenhain_nd28x`.
 """

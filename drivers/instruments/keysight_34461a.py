@@ -1,8 +1,8 @@
 """Keysight Truevolt 34460A, 34461A, 34465A, 34470A, under their own identity or that of a 34401A.
 
-They measure DC volts into memory. They differ from a 34401A in the headers of autozero and input impedance, which
-are below the function's header, and in a larger memory; a reading has the same 15 characters. SYSTem:IDENtify makes
-them report the identity of a 34401A. Sources: see `drivers.facts.keysight_34461a`.
+They measure DC volts into memory. Unlike a 34401A, they have the headers of autozero and input impedance below the
+function's header, and a larger memory; a reading has the same 15 characters. SYSTem:IDENtify makes them report the
+identity of a 34401A. Sources: see `drivers.facts.keysight_34461a`.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """HP / Agilent / Keysight 34970A and 34972A with 34901A cards: one meter that measures several DC voltages.
 
-The signals are sampled one after another, not simultaneously: within a scan each waits for its channel's delay
-and the integration of the channels before it. The meter scans in ascending order of the channel numbers, whatever
-order is requested. Sources: see `drivers.facts.keysight_34970a`.
+The signals are not sampled simultaneously: within a scan, the meter samples one channel after another, each after
+its channel delay. It scans in ascending order of the channel numbers, whatever order is requested. Sources: see
+`drivers.facts.keysight_34970a`.
 """
 
 from __future__ import annotations
@@ -231,9 +231,9 @@ class _Probe(ScpiVoltmeter):
 class Keysight34970AThermometer:
     """A `Thermometer`: a sensor named as in `SENSORS` on a multiplexer channel such as 104.
 
-    If the voltmeter of the signals or another thermometer is the same instrument, pass it as `meter` and its
-    session as `session`: the voltmeter is then configured again after each temperature. Raises `LimitExceeded` for
-    a channel that no card has, or that cannot measure with four wires.
+    If the same instrument also serves as the voltmeter or as another thermometer, pass that driver as `meter` and
+    its session as `session`. A voltmeter is then configured again after each temperature. Raises `LimitExceeded`
+    for a channel that no card has, or that cannot measure with four wires although the sensor has four.
     """
 
     asks_person = False
@@ -273,7 +273,7 @@ class Keysight34970AThermometer:
         return identity if self._meter is None else replace(identity, serial="")
 
     def close(self) -> str:
-        """Disconnect, unless the session belongs to the voltmeter. Never raises, may be called twice.
+        """Disconnect, unless another driver owns the session. Never raises, may be called twice.
 
         Returns what a person must still do, an empty string for nothing.
         """

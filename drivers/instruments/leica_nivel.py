@@ -28,9 +28,9 @@ _EXAMPLE: Final = "X:-0.084 Y:+0.296 T:+24.4"
 class LeicaNivel(ProvedInstrument):
     """A `Level` that reads the sensor with address N`sensor`.
 
-    `along` and `across` name the sensor axes along and across the shaft in the level's first position; their
-    signs make a raised end positive, as in `LevelAxis`. A value is the mean of `averages` measurements, one
-    per second. Raises `ValueError` if both name the same axis.
+    `along` and `across` name the sensor axes that lie along and across the shaft in the level's first position.
+    Their signs are such that readings are positive as `LevelAxis` states. A reading is the mean of `averages`
+    measurements, one per second. Raises `ValueError` if both name the same axis.
     """
 
     asks_person = False
@@ -69,10 +69,10 @@ class LeicaNivel(ProvedInstrument):
         )
 
     def inclination(self, key: str, *, turned: bool) -> Inclination:
-        """Return the mean once it holds only measurements of the present position; `turned` is unused.
+        """Wait until the sensor's mean contains only measurements of the present position, and return it.
 
-        Raises `BadReading` if the sensor is out of range, `InstrumentRefused` if the sensor lost power,
-        `InstrumentLost`.
+        `turned` is not used. Raises `BadReading` if the sensor is out of range, `InstrumentRefused` if it lost
+        power, `InstrumentLost`.
         """
         if self._averages_set() != self._averages:
             raise InstrumentRefused(

@@ -53,9 +53,9 @@ class ByHand:
 class ManualHead(ByHand):
     """A `DividingHead` that a person turns and reads.
 
-    `move` returns the angle read from the scale after clamping, which the calibration uses, not the target.
-    The reading may differ from the target by `tolerance_rad`. With `enter_accepts_target`, an empty answer means
-    the target; else the angle must be typed.
+    `move` returns the angle that the person reads from the scale after clamping, not the target. The reading may
+    differ from the target by `tolerance_rad`. With `enter_accepts_target`, an empty answer means that the scale
+    shows the target; else the angle must be typed.
     """
 
     model = "dividing head"
@@ -92,9 +92,9 @@ class ManualHead(ByHand):
         return self._turned(target_rad, direction, key, by_way_of_rad)
 
     def stands_at(self, key: str) -> float:
-        """Ask for the angle at which the head stands, within half a turn of 0, rad; nobody turns it.
+        """Ask for the angle at which the head stands; return it within half a turn of 0, rad.
 
-        Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
+        Nobody turns the head. Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """
         task = message("Leave the head as it stands; read its scale and type the angle read.")
         question = Prompt(key, PromptKind.ANGLE, task, unit="° ′ ″", action={"do": "read_head"})
@@ -167,11 +167,10 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 
 
 class ManualLevel(ByHand):
-    """A `Level` with one vial, which a person lays along the shaft and across it; a division is `division_rad`.
+    """A `Level` with one vial, which a person lays first along the shaft, then across it.
 
-    `reading_divisions` is the standard uncertainty of a reading; the vial has `most_divisions` to either side.
-    `scale` is the relative standard uncertainty of a division, `turn_rad` the standard uncertainty of the level's
-    alignment.
+    The scale has `most_divisions` of `division_rad` each to either side. Standard uncertainties: of a reading,
+    `reading_divisions`; of a division, `scale`, relative; of the level's alignment, `turn_rad`.
     """
 
     model = "bubble level"
@@ -250,10 +249,10 @@ def ask_temperature(
     outside: Callable[[float], str],
     of: str = "block",
 ) -> float | None:
-    """Ask for a temperature from `low_c` to `high_c`, °C; return None if no attempt gives a temperature.
+    """Ask for a temperature, °C; return None if no attempt gives one between `low_c` and `high_c`.
 
-    `key` names the question, `text` says what to do. `outside` returns the complaint about a value out of range.
-    `of` is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
+    `key` names the question, `text` says what to do. `outside` returns a sentence about a value out of range. `of`
+    is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
     """
     question = Prompt(
         id=key,
@@ -286,7 +285,10 @@ _PLAUSIBLE_K: Final = 20.0
 
 
 class ManualChamber(ByHand):
-    """A `ThermalChamber` that a person sets and reads; safe at `safe_c`, °C, or (if None) switched off."""
+    """A `ThermalChamber` that a person sets and reads.
+
+    Its safe state is the temperature `safe_c`, °C, or, if that is None, switched off.
+    """
 
     model = "thermal chamber"
     asks_person = True
@@ -301,7 +303,7 @@ class ManualChamber(ByHand):
         self._set = False
 
     def make_safe(self) -> str:
-        """Return what a person must do if a temperature was set, else an empty string; nobody is asked."""
+        """Ask nobody; return what a person must do, or an empty string if no temperature was set."""
         if not self._set:
             return ""
         safe = "off" if self._safe_c is None else f"to {self._safe_c:g} °C"
@@ -381,7 +383,10 @@ _PLACES: Final = {
 
 
 class ManualThermometer(ByHand):
-    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C; `of` is a key of `_PLACES`."""
+    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C.
+
+    `of` is the place of the thermometer: "block", "meter" or "room".
+    """
 
     model = "thermometer"
     asks_person = True

@@ -121,7 +121,7 @@ class ManualSupply(ByHand):
             self._refuse_other_voltage(output, key)
 
     def switch_all_off(self) -> str:
-        """Return what a person must do if an output may be on, else an empty string; nobody is asked."""
+        """Ask nobody; return what a person must do, or an empty string if no output can be on."""
         on = [output for output, is_on in self._on.items() if is_on]
         return f"switch its output {' and '.join(on)} off by hand" if on else ""
 

@@ -1,4 +1,4 @@
-"""A counter with the format of a Mitutoyo MUX-10, which measures the angle of a head turned by a person.
+"""A counter with the format of a Mitutoyo MUX-10; it measures the angle of a head that a person turns.
 
 Source: see `drivers.facts.mitutoyo_mux10`.
 """

@@ -1,8 +1,8 @@
 """A rotary stage with a Newport ESP301 as dividing head: plain ASCII over a serial port, GPIB or a socket.
 
-Commands have no reply: each is sent on one line with the query for the oldest error, whose reply confirms it. The
-controller cannot report whether an axis was homed. As its motors are off after power-on, an axis with its motor off
-is treated as not homed.
+A command has no reply. The driver sends it on one line with the query for the oldest error, and the reply to the
+query confirms the command. The controller cannot report whether an axis was homed. As its motors are off after
+power-on, an axis with its motor off is treated as not homed.
 Source: see `drivers.facts.newport_esp301`.
 """
 
@@ -141,7 +141,7 @@ class NewportHead(MotorisedHead):
     def _refuse_other_settings(self, what: str) -> None:
         """Raise `InstrumentRefused` unless the unit is the degree and the speed is the one set.
 
-        `what` begins the sentence about a different speed, such as "was set otherwise since".
+        `what` is the beginning of the message if the speed differs, such as "was set otherwise since".
         """
         unit = int(self._number("SN?"))
         if unit != facts.DEGREES:
@@ -189,7 +189,7 @@ class NewportHead(MotorisedHead):
         self._refuse_error("reports errors without end, at last", error)
 
     def _tell(self, command: str, purpose: str) -> None:
-        """Send a command to the axis once. Raises `InstrumentRefused`, stating its purpose, if an error follows."""
+        """Send a command to the axis once. Raises `InstrumentRefused` with the `purpose` if an error follows."""
         reply = self._session.command(f"{self._axis}{command};TB?", _ERROR, _ERROR_EXAMPLE)
         self._refuse_error(f"was told to {purpose} and reports error", reply)
 

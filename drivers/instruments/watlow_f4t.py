@@ -1,8 +1,9 @@
 """A chamber with a Watlow F4T controller: SCPI over TCP port 5025.
 
 There is no error queue: every setting is read back. The unit of the temperatures is queried each time: firmware
-from 04:05:0007 (2019) on uses °C or °F as set. Older firmware uses only °F and has no such query; it is refused,
-as a wrong guess would be off by tens of degrees. Sources: see `drivers.facts.watlow_f4t`.
+from 04:05:0007 (2019) on uses °C or °F as set. Older firmware uses only °F and has no such query. The driver
+refuses it, because a wrong guess of the unit would be off by tens of degrees. Sources: see
+`drivers.facts.watlow_f4t`.
 """
 
 from __future__ import annotations

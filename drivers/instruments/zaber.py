@@ -66,10 +66,10 @@ class ZaberHead(MotorisedHead):
     """A `DividingHead` on one axis of a Zaber device.
 
     `steps_per_degree` is the number of microsteps (encoder counts on a direct drive) per degree at the setting
-    `resolution`, negative if the angle falls with rising steps; step 0 is 0°. Angles are sent and read back as
-    whole steps. `identity` is the pattern of the device id. `allow_homing` permits homing, which turns the head to
-    its sensor without regard to the limits. With `checksums` every message has a checksum. Raises `ValueError` if
-    the limits exceed the controller's step counter, or if a step is coarser than the tolerance.
+    `resolution`; it is negative if the angle falls with rising steps. Step 0 is 0°. Angles are sent and read back
+    as whole steps. `identity` is the pattern of the device id. `allow_homing` permits homing, which turns the head
+    to its sensor without regard to the limits. With `checksums` every message has a checksum. Raises `ValueError`
+    if the limits exceed the controller's step counter, or if a step is coarser than the tolerance.
     """
 
     def __init__(

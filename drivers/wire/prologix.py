@@ -86,7 +86,7 @@ class AdapterConnection:
 
     @property
     def stands(self) -> bool:
-        """Whether the adapter still has this connection's link.
+        """Whether the adapter still has the link over which this connection was made.
 
         A failure at another instrument behind the adapter also drops the link.
         """

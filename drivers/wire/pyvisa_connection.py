@@ -279,7 +279,7 @@ class Connection:
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether bytes or the end of the connection arrive within `timeout_s`; needs `by_bytes`."""
+        """Return whether bytes or the end of the connection arrive within `timeout_s`; only if `by_bytes`."""
         return bool(select.select([self._interface], [], [], timeout_s)[0])
 
     def take(self) -> tuple[bytes, bool]:
@@ -382,7 +382,7 @@ def _resource_manager() -> pyvisa.ResourceManager:
 def _open_in_time(resource: str, timeout_s: float) -> MessageBasedResource:
     """Open the resource in a separate thread, within `timeout_s` (+ 0.5 s); close a resource that opens late.
 
-    The manager is made before, since its imports can take seconds, which are no fault of the instrument.
+    The resource manager is made before this time begins, because its imports can take seconds.
     """
     opened: Future[MessageBasedResource] = Future()
     manager = _resource_manager()

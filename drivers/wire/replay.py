@@ -254,7 +254,8 @@ def replayed(log: Path, instrument: str, **settings: Any) -> Iterator[tuple[Mess
 class Replay(Connection):
     """The replay of a log: a `Connection` for the session and the `Clock` for the driver.
 
-    `left` holds the lines not yet used. The time is the time of the last line, plus the driver's sleeps since then.
+    `left` holds the lines not yet used. The time is that of the last used line, plus the driver's sleeps since
+    then.
     """
 
     def __init__(self, log: str, instrument: str, lines: Sequence[Logged], read_termination: str) -> None:
@@ -318,9 +319,9 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether the next line is received data: unsolicited if `timeout_s` is 0, else a reply.
+        """Return whether the next line of the log is data; with `timeout_s` 0 such data is unsolicited.
 
-        Raises a logged failure of this phase. Without data, the clock advances by `timeout_s`.
+        Raises a failure that the log has here. Without data, the clock advances by `timeout_s`.
         """
         self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
         self.fail(self._when)
@@ -332,9 +333,10 @@ class Replay(Connection):
         return False
 
     def take(self) -> tuple[bytes, bool]:
-        """Return the next reply of the log.
+        """Return the next reply of the log, and whether more bytes follow.
 
-        Raises the failure that follows it in the log, if any: a truncated, doubled or unsolicited reply.
+        If a failure follows the reply in the log (it was truncated, doubled or unsolicited), raise the failure
+        instead.
         """
         reply = self._next()
         self.fail(self._when)

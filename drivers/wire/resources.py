@@ -33,12 +33,12 @@ _PACKAGES: Final = {
     "psutil": "only the network of the default interface was searched (install psutil to search all)",
     "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
 }
-"""For each optional package that pyvisa-py warns about: what was not searched without the package."""
+"""What is not searched without an optional package, by the package that pyvisa-py warns about."""
 _LIBRARIES: Final = {
     ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
     ("usb",): "USB was not searched (install pyusb)",
 }
-"""For alternative packages whose absence pyvisa-py does not report: what was not searched without any of them."""
+"""What is not searched if none of several packages is installed; pyvisa-py does not report their absence."""
 SOCKETS: Final = (
     "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
     "see the address on the instrument's own display"
@@ -127,10 +127,10 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 def normalised(resource: str) -> str:
     """Return one name for all usual spellings of a resource.
 
-    Spellings that differ in case, in optional parts, in hexadecimal or decimal numbers, or in localhost or
-    127.0.0.1 get the same name. Leading zeros (`GPIB0::022`, `GPIB0::22`) give different names, as do a
-    host's name and its address, because host names are not resolved. Instruments behind one adapter share the
-    adapter's name. A serial port is named after the device to which its symbolic links resolve.
+    The case, optional parts, hexadecimal or decimal numbers, and localhost or 127.0.0.1 make no difference. Leading
+    zeros do (`GPIB0::022`, `GPIB0::22`), as do a host's name and its address, because host names are not resolved.
+    Instruments behind one adapter share the adapter's name. A serial port is named after the device to which its
+    symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
@@ -162,7 +162,7 @@ def _number(text: str) -> str:
 
 
 class Holding:
-    """The locks of this program, as files in `folder`; taking a resource twice needs two releases."""
+    """The locks of this program, as files in `folder`; a resource taken twice must be released twice."""
 
     _held: Final[dict[Path, tuple[FileLock, int]]] = {}
     _guard: Final = threading.Lock()
@@ -171,9 +171,10 @@ class Holding:
         self._folder = folder
 
     def take(self, name: str, resource: str, called: str = "") -> None:
-        """Lock the resource of instrument `name`. Raises `InstrumentRefused`, naming the holder, if it is in use.
+        """Lock the resource of instrument `name`; if no files can be locked there, lock nothing.
 
-        The message names the resource, or `called` instead, for example for a resource that no person typed.
+        Raises `InstrumentRefused`, which names the holder, if another program has it. The message names the
+        resource, or `called` instead, for example for a resource that no person typed.
         """
         path = self._path(resource)
         with self._guard:

@@ -51,10 +51,10 @@ class MessageSession:
 
     `name` is the instrument's name on the bench. `resource` is a VISA resource string or, behind a GPIB adapter, a
     text such as `prologix://192.0.2.10:1234/22`. The terminations and `serial` apply to sockets and serial ports;
-    GPIB, USB and VXI-11 mark the end of a message themselves. `read_tail` is the number of bytes, such as a check
-    sum, that follow the termination of each reply; the reply then includes termination and tail, one character per
-    byte. `haste` can shorten the wait for replies. `holding` locks the instrument against other programs while the
-    session is open. Thread-safe; open only one session per resource.
+    GPIB, USB and VXI-11 mark the end of a message themselves. If `read_tail` bytes, such as a check sum, follow the
+    termination of each reply, the reply is returned with termination and tail, one character per byte. `wire` logs
+    the messages. `haste` can shorten the wait for replies. `holding` locks the instrument against other programs
+    while the session is open. Thread-safe; open only one session per resource.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class MessageSession:
             connection.close()
 
     def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
-        """Log a failure with its phase `when`; return it, or `InstrumentLost` for a foreign `Exception`."""
+        """Log a failure with its phase `when`; return it, or for a foreign `Exception` an `InstrumentLost`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
             error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
@@ -444,8 +444,8 @@ class ProvedSession:
     def repeating(self, exchange: Callable[[], _T]) -> _T:
         """Return the result of `exchange`, repeated over a new connection after a transport failure.
 
-        There are at most three attempts; a second `InstrumentLost` ends them, because the instrument is then
-        absent. Inside `prove` nothing is repeated: the outer call repeats the whole verification.
+        There are at most three attempts. A second `InstrumentLost` ends them, because the instrument is then
+        absent. While `prove` runs, nothing is repeated: the call outside it repeats the whole verification.
         """
         lost = 0
         for _ in range(ATTEMPTS - 1):
@@ -492,7 +492,10 @@ UNKNOWN: Final = Identity("", "")
 
 
 class ProvedInstrument(ABC):
-    """The base class of instruments over a `ProvedSession`; `identity` is what is known before `_prove`."""
+    """The base class of instruments over a `ProvedSession`.
+
+    `identity` is what is known of the instrument before it is verified.
+    """
 
     def __init__(
         self,

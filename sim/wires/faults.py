@@ -114,10 +114,10 @@ OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
 class Fault:
     """One kind of fault and the condition under which it strikes.
 
-    Only exchanges whose command contains `matching` (in upper or lower case) count. The fault strikes each of these
-    with `probability`, or only the `at`-th (from 1), or all if neither is given. A fault of the reply needs a
-    reply: if the `at`-th command has none, it strikes the next reply. `instrument` is a name on the bench, empty
-    for all.
+    Only commands that contain `matching` (in upper or lower case) count. Of these, the fault strikes each one with
+    `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that alters the reply cannot
+    strike a command without one; if the `at`-th command has no reply, it strikes the next reply. `instrument` is a
+    name on the bench, empty for all.
     """
 
     kind: FaultKind
@@ -147,7 +147,7 @@ class Fault:
 
     @classmethod
     def parse(cls, data: Mapping[str, object]) -> Fault:
-        """Return the fault that plain data states; numbers may be given as text.
+        """Return the fault that the mapping `data` states; numbers may be given as text.
 
         Raises `ValueError` with one sentence for an unknown key or kind, an invalid number or inconsistent
         settings.
@@ -172,7 +172,7 @@ class Fault:
         )
 
     def told(self) -> dict[str, object]:
-        """Return the fault as the data that `parse` accepts."""
+        """Return the fault as plain data, which `parse` accepts."""
         fields: dict[str, object] = {
             "probability": self.probability,
             "at": self.at,
@@ -236,9 +236,9 @@ class _Armed:
 
 
 class FaultyInstrument:
-    """A `Dialect` with injected faults; its `wire_fault` is the `FaultHook` of its wires.
+    """A `Dialect` with injected faults; its method `wire_fault` is the `FaultHook` of its wires.
 
-    `seed` and `name` determine the random numbers. Only one thread at a time may call it, which
+    The random numbers depend on `seed` and `name`. Only one thread at a time may call it, as
     `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault that the instrument cannot have.
     """
 
@@ -286,7 +286,7 @@ class FaultyInstrument:
     # --- as a dialect -------------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out a message, with the faults of the instrument itself."""
+        """Carry out a message, with the faults of the instrument itself but not those of its wire."""
         struck = {
             a.fault.kind: a.fault
             for a in self._armed
@@ -312,7 +312,7 @@ class FaultyInstrument:
             self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Pass `left`, which returns whether the sender of the next message has left, to the instrument."""
+        """Pass `left`, a function that returns whether the client has disconnected, to the instrument."""
         if self._measures is not None:
             self._measures.cycle.sent_by(left)
 
@@ -343,7 +343,7 @@ class FaultyInstrument:
     def wire_fault(self, message: bytes, reply: bytes | None) -> WireFault | None:
         """Return the wire fault that strikes this exchange, or None.
 
-        Every wire fault counts the exchange; if several strike, the first takes effect.
+        Each armed wire fault counts the exchange. If several strike it, only the one armed first takes effect.
         """
         struck = [a for a in self._armed if a.fault.kind not in OF_INSTRUMENT and a.strikes(message, reply)]
         if self._hangs_now or not struck:

@@ -1,8 +1,8 @@
 """A simulated GPIB adapter of the Prologix kind, with simulated instruments on its bus.
 
 The adapter is a dialect, served like an instrument on its own port. It passes each line to the instrument at the
-address it is set to. On a read command it returns that instrument's reply, if the reply is ready within the
-timeout of at most 3 s.
+selected address. On a read command it returns the instrument's reply if this is ready within the timeout, which is
+3 s at most.
 Source: Prologix GPIB-ETHERNET Controller User Manual, chapters 7 "Data Transmission" and 8 "Commands".
 """
 
@@ -136,14 +136,13 @@ _Instrument = TypeVar("_Instrument", bound=ScpiInstrument)
 
 
 class GpibAdapter(PlainDialect):
-    """A GPIB adapter in a bench with the time `clock`; `attach` puts instruments on its bus.
+    """A GPIB adapter on the bench's `clock`; `attach` puts instruments on its bus.
 
-    With `nul` it sends a NUL after the LF of each reply (as a GPIB-USB does: pymeasure issue 954). An AR488
-    calls itself "AR488 version 6.102" or "Prologix AR488 HRK version 6.101" (Twilight-Logic/AR488 issues 22
-    and 50), and its ++savecfg saves at once.
-
-    `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1),
-    because each write wears the adapter's memory.
+    `version` is the reply to ++ver. An AR488 replies "AR488 version 6.102" or "Prologix AR488 HRK version 6.101"
+    (Twilight-Logic/AR488 issues 22 and 50), and its ++savecfg saves at once. With `nul` the adapter sends a NUL
+    after the LF of each reply, as a GPIB-USB does (pymeasure issue 954).
+    `settings` are those at switch-on. `writes_to_memory` counts how often settings were saved (savecfg 1), because
+    each write wears the adapter's memory.
     """
 
     model = "GPIB adapter"
@@ -172,7 +171,7 @@ class GpibAdapter(PlainDialect):
         }
 
     def attach(self, address: int, make: Callable[[Clock], _Instrument]) -> _Instrument:
-        """Put an instrument on the bus and return it; `make` makes the instrument from the clock that it is given.
+        """Make an instrument with `make`, which gets its clock; put it on the bus and return it.
 
         Raises `ValueError` for an address that is in use or not in 0…30.
         """
@@ -202,7 +201,7 @@ class GpibAdapter(PlainDialect):
 
     @property
     def line_ends(self) -> LineEnds:
-        """The line ends: the end of the reply itself, then a stray NUL if the adapter sends one."""
+        """The line ends: LF for messages and replies; with `nul`, a NUL follows each reply."""
         return LineEnds(reply=b"\n\0") if self._nul else LineEnds()
 
     def handle(self, message: bytes, interrupted: Callable[[], bool] = never) -> bytes | None:

@@ -31,7 +31,7 @@ class Doing(Enum):
 
 
 class Busy(Protocol):
-    """A session as `Traffic` sees it. `doing` is set through `Traffic.mark`; input arrives at `source`."""
+    """A session as `Traffic` sees it: `Traffic.mark` sets `doing`, and input arrives at `source`."""
 
     doing: Doing
     source: int | socket.socket
@@ -41,7 +41,7 @@ class Busy(Protocol):
 
 
 class Traffic:
-    """A register of what each session of a bench is doing; a virtual clock advances only if no session has work.
+    """A register of what each session of a bench does; a virtual clock advances only if none has work.
 
     Without it, a virtual clock could advance past a measurement whose start command is still on another wire.
     """
@@ -118,12 +118,11 @@ LEAVING_S: Final = 2.0
 class LineEnds:
     """The line ends of an instrument: each of `messages` ends a message, `reply` is appended to each reply.
 
-    If `reply` is None, the wire's own terminator is appended. A CR before an LF that ends a message is
-    dropped; other ends leave the surrounding bytes unchanged. `frame`, if given, replaces `reply`: it
-    converts a reply to the bytes that are sent. `clears` is False if ETX is an ordinary character and not a
-    device clear. A longer message than `buffer` overflows. With `loses_early` the instrument loses what
-    arrives between a query and the end of its reply, except the first characters, as if the sender ignored
-    the flow control.
+    If `reply` is None, the wire's own terminator is appended. `frame`, if given, replaces `reply`: it converts a
+    reply to the bytes that are sent. If LF ends a message, a CR before it is dropped. With `clears` False, ETX is
+    an ordinary character, not a device clear. A message longer than `buffer` bytes overflows. With `loses_early`
+    the instrument keeps only the first characters of what arrives between a query and the end of its reply, as if
+    the sender ignored the flow control.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
@@ -165,12 +164,12 @@ class PlainDialect:
 
 @runtime_checkable
 class Forsakable(Protocol):
-    """A dialect whose commands may run for hours and must stop when their client leaves."""
+    """A dialect whose commands may run for hours, and must stop when their client disconnects."""
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, a function that returns whether the sender of the next message has left.
+        """Store `left`, which returns whether the client of the next message has disconnected.
 
-        A command whose client has left is given up, also while a message of another client waits for it.
+        A command whose client has disconnected is aborted, even if another client already waits for its end.
         """
 
 
@@ -217,9 +216,9 @@ class Transport(Protocol):
 class WireFault:
     """The effect of a faulty wire on one exchange: the bytes sent in place of the reply, and the consequences.
 
-    After `delay_s` of real time `raw` is sent unchanged, then each of `lines` with the terminator of the wire.
-    `drop` then closes the connection. `refuse` also refuses new connections, for `refuse_s` of real time or, if
-    that is 0, until `accept_again` of the server is called.
+    After `delay_s` of real time the wire sends `raw` unchanged, then each of `lines` with its terminator. `drop`
+    then closes the connection. `refuse` also refuses new connections: for `refuse_s` of real time or, if that is 0,
+    until the server's `accept_again` is called.
     """
 
     raw: bytes = b""
@@ -257,11 +256,11 @@ Calls for one instrument never overlap; they have the order in which its message
 
 
 class Overflow:
-    """Stands for a message that was too long."""
+    """The mark that `Framer.take` returns in place of a message that was too long."""
 
 
 class Framer:
-    """Splits input at any of `ends` and drops a CR before LF. A device clear discards all input before it."""
+    """Splits input into messages at any of `ends`; drops a CR before LF, and all input before a device clear."""
 
     def __init__(
         self, ends: tuple[bytes, ...] = (TERMINATOR,), *, clears: bool = True, buffer: int = _INPUT_BUFFER
@@ -278,10 +277,7 @@ class Framer:
         self._buffer += data
 
     def lose(self) -> bool:
-        """Keep only the first characters of the input, without any device clear.
-
-        Return whether anything was discarded.
-        """
+        """Discard device clears and all but the first characters of the input; return whether any were lost."""
         lost = len(self._buffer) > _WITHIN_HOLD_OFF or DEVICE_CLEAR in self._buffer
         self._buffer = self._buffer[:_WITHIN_HOLD_OFF].replace(DEVICE_CLEAR, b"")
         return lost
@@ -314,7 +310,7 @@ class Framer:
 class ServedInstrument:
     """A dialect shared by all its wires: it carries out one message at a time, from any wire.
 
-    `fault` may be set or removed at any time; all instruments of a bench on a virtual clock share one `traffic`.
+    `fault` may be set or removed at any time. All instruments of a bench on a virtual clock share one `traffic`.
     """
 
     def __init__(
@@ -357,7 +353,7 @@ class ServedInstrument:
 
     @contextmanager
     def held(self) -> Iterator[None]:
-        """Keep all wires from the instrument within the context, in which it can be changed from outside."""
+        """Block messages from all wires within the context, so that the instrument can be changed safely."""
         with self._lock:
             yield
 
@@ -378,7 +374,7 @@ class ServedInstrument:
 class Session:
     """One client of one instrument.
 
-    `on_refuse` is called with the time, s, for which new clients are to be refused (0: without limit).
+    To refuse new clients, it calls `on_refuse` with the duration, s; 0 means without limit.
     """
 
     def __init__(

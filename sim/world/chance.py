@@ -21,7 +21,10 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 
 
 class KeyedNumbers:
-    """Random generators keyed by seed, purpose and step; `told_scan` is the scan order of the present step."""
+    """Random generators keyed by seed, purpose and step of the procedure.
+
+    `told_scan` is the scan order that the present step stated, empty if none.
+    """
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:
         self._seed = seed
@@ -31,10 +34,10 @@ class KeyedNumbers:
         self.told_scan: tuple[int, ...] = ()
 
     def begin_step(self, key: str, scan: tuple[int, ...] = ()) -> None:
-        """Use `key`, a step of the procedure and its attempt, as key of random numbers from now on.
+        """From now on, key random numbers with `key`, which names a step of the procedure and its attempt.
 
-        `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order
-        of the triggers is used, which is not reproducible for several meters on separate wires.
+        `scan` lists the channels 0, 1, 2 in the order in which the step reads them. If it is empty, the order of
+        the triggers is used, which is not reproducible for several meters on separate wires.
         """
         with self._lock:
             self._step, self.told_scan = key, scan

@@ -47,7 +47,7 @@ class VirtualClock:
             self._now_s = max(self._now_s, time_s)
 
     def return_to(self, time_s: float) -> None:
-        """Set the simulated time back to `time_s`, so that actions since then take no time."""
+        """Set the simulated time back to `time_s`, as if the actions since then had taken no time."""
         self._settle()
         with self._lock:
             self._now_s = float(time_s)

@@ -63,10 +63,12 @@ _TAKES: Final = {
 class OperatorSettings:
     """Settings of the simulated operator: accuracy, times and slips.
 
-    The head is set to the target with a normal error of `setting_deviation_rad`, then rounded to the scale step
-    `resolution_rad`. Durations in s: a turn, uniform within `turn_time_s`; a mounting, `mount_time_s`; a second
-    look at the scale, `second_look_s`; a display reading, `display_time_s`; any other task, `task_time_s`. With
-    `slip_probability` the typed angle is off by 1°, 10′ or 1′ although the head is set correctly.
+    The operator sets the head with a normal error of standard deviation `setting_deviation_rad`, to a whole step
+    `resolution_rad` of the scale. Times are in s. A turn takes a time drawn uniformly from the interval
+    `turn_time_s`. A mounting takes `mount_time_s`, a second look at the scale `second_look_s`, the reading of a
+    display `display_time_s`, any other task `task_time_s`.
+    `slip_probability` is that of a slip: the typed angle is off by 1°, 10′ or 1′ although the head is set
+    correctly. If an encoder reads the head and no angle is typed, a slip is an approach from the wrong side.
     """
 
     setting_deviation_rad: float = 2.0 * ARCSEC
@@ -85,11 +87,11 @@ class OperatorSettings:
 
 
 class ScriptedOperator:
-    """A `drivers.interfaces.WatchingPerson` who carries out `prompt.action` on the world and answers.
+    """A `drivers.person.WatchingPerson` who carries out `prompt.action` on the world and answers.
 
-    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a
-    step repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip
-    and without turning the head again.
+    Random numbers are keyed by the world's seed and by the step in the prompt's id (the part before "#"), so a step
+    repeated in another process gives the same result. A repeated question ("…#2") is answered without a slip and,
+    unless an encoder reads the head, without turning the head again.
     """
 
     def __init__(self, world: World, settings: OperatorSettings | None = None) -> None:
@@ -136,10 +138,10 @@ class ScriptedOperator:
     def turn_to(
         self, prompt_id: str, angle_rad: float, direction: Direction, backoff_rad: float | None = None
     ) -> None:
-        """Turn the head until its scale shows `angle_rad`; this takes as long as if `ask` handled the prompt.
+        """Turn the head until its scale shows `angle_rad`, in the time that `ask` would take for this prompt.
 
-        If an encoder reads the head, the operator first turns it to more than `backoff_rad` before the angle, then
-        to the angle.
+        With `backoff_rad`, for a head that an encoder reads, the operator first turns it to twice `backoff_rad`
+        before the angle.
         """
         generator = self._generator("turn", prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`

@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Pose:
-    """The position of the block from `since_s` on. Compared by identity, since each pose is a separate event.
+    """The position of the block from `since_s` on; compared by identity, since each pose is a separate event.
 
-    `demanded_rad` is the target of the head; `stuck` is true if a fault makes the head stick or run away.
-    `input_v` is the voltage at all three meter inputs in place of the block's signals, None for the signals.
+    `demanded_rad` is the target of the head; `stuck` is true if a fault makes the head stick or run away. `input_v`
+    is the voltage at the inputs of all three meters; None if they measure the block's signals.
     """
 
     since_s: float
@@ -42,13 +42,12 @@ class Pose:
 
 
 class Visit(NamedTuple):
-    """A pose at one time, `elapsed_s` after the world began, with the block's temperature, °C.
+    """A pose at one time, `elapsed_s` after the world began, with the conditions at that time.
 
-    `scan` lists the channels 0, 1, 2 in the order in which the meters were triggered. `on_s` is the time
-    since the block got power, None if unknown; `supply_v` the voltage of each rail minus its nominal voltage,
-    V. `series_on` counts the power cycles since the block was mounted and first read; it adds to the
-    mounting's series, so that effects treat a power cycle like a remount. `meters_c` is the temperature of
-    the voltmeters, °C.
+    `block_c` and `meters_c` are the temperatures of block and voltmeters, °C. `scan` lists the channels 0, 1, 2 in
+    the order in which the meters were triggered. `on_s` is the time since the block got power, None if unknown.
+    `supply_v` is the voltage of each rail minus its nominal voltage, V. `series_on` is the result of
+    `switched_on_since`; it is added to the mounting's series, so that effects treat a power cycle like a remount.
     """
 
     pose: Pose
@@ -65,10 +64,10 @@ class Visit(NamedTuple):
 def switched_on_since(
     pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
 ) -> int:
-    """Return the number of power cycles between the first reading in the mounting of `pose` and `time_s`.
+    """Return the number of power cycles of the block from its first reading in this mounting to `time_s`.
 
-    `visits` are the visits read so far, `switchings` the times at which the block gained (True) or lost power.
-    Power cycles without a reading between them count once.
+    Power cycles without a reading between them count once. `pose` belongs to the mounting. `visits` are the visits
+    read so far, `switchings` the times at which the block gained (True) or lost power.
     """
     read_s = [visit.time_s for visit in visits if visit.pose.stand_rad is pose.stand_rad]
     on_s = [at_s for at_s, on in switchings if on and read_s and read_s[0] < at_s <= time_s]
@@ -79,7 +78,7 @@ def switched_on_since(
 def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> Floats:
     """Return the signals of visits in time order, V, shape (n, 3); effects depend on the earlier visits.
 
-    A visit with `input_v` shows that voltage with the effects of the meters alone.
+    For a visit with `input_v`, the meters measure that voltage, and only their own effects apply.
     """
     poses = [visit.pose for visit in visits]
     on_s = np.array([np.nan if visit.on_s is None else visit.on_s for visit in visits])
@@ -152,9 +151,9 @@ class HeadTurn:
 class HeadFault:
     """A fault of a motorised head, for movements that begin while it is set.
 
-    The head sticks after a rotation by `sticks_after_rad` (0: it does not move at all), or it stops
-    `stops_off_rad` away from the target on its own scale. A head that `runs_away`, as with a wrong sign, turns
-    away from the target until it is stopped.
+    With `sticks_after_rad`, the head sticks after a rotation by this angle, at once for 0. A head that does not
+    stick stops where its own scale shows `stops_off_rad` more than the target. A head that `runs_away`, as with a
+    wrong sign, turns away from the target until it is stopped.
     """
 
     sticks_after_rad: float | None = None
@@ -164,7 +163,7 @@ class HeadFault:
     def end_rad(self, start_rad: float, target_rad: float) -> tuple[float, bool]:
         """Return the angle at which a movement with this fault ends, rad.
 
-        The second value says whether the head is then stuck, or off its target.
+        The second value says whether the fault makes the head stick or run away.
         """
         if self.runs_away:
             return start_rad + math.copysign(_ENDLESS_RAD, start_rad - target_rad), True
@@ -184,7 +183,7 @@ _BLOCK: Final = Block(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """The errors of a level: its zero errors and its noise (1 σ), rad, and its relative scale error."""
+    """The errors of a level: zero errors and standard deviation of the noise, rad; relative scale error."""
 
     zero_along_rad: float = 0.0
     zero_across_rad: float = 0.0
@@ -200,7 +199,7 @@ class LevelSettings:
 def platform_tilt_rad(visit: Visit, model: ForwardModel) -> dict[LevelAxis, float]:
     """Return the inclination of the platform along the shaft and across it at the present head angle, rad.
 
-    Effects of the stand and head are included, effects of the block's mounting are not.
+    It includes the effects of stand and head, but not those of the block's mounting.
     """
     pose = visit.pose
     effects = tuple(

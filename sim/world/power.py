@@ -47,10 +47,11 @@ class Rail:
 
 @dataclass(frozen=True)
 class PowerSettings:
-    """The rails of the block, their load, and its signals without power (standard deviations, V).
+    """The rails of the block, their load, and the block's signals without power.
 
-    The current grows by the fraction `current_by_temperature` per kelvin. At switch-on it is multiplied by
-    `in_rush`, which decays with the time constant `in_rush_time_s`.
+    The current grows by the fraction `current_by_temperature` per kelvin. At switch-on it is `in_rush` times as
+    large; the excess decays with the time constant `in_rush_time_s`. Without power, the offset of each signal has
+    the standard deviation `dead_offset_v`, and its noise `dead_noise_v`, V.
     """
 
     rails: tuple[Rail, ...] = ()
@@ -63,7 +64,10 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of an output (if `output` is empty, of all) from clock time `at_s` on, for `lasts_s`."""
+    """A disturbance of an output (of all, if `output` is empty) from clock time `at_s` on, for `lasts_s`.
+
+    `DISTURBANCES` explains each `kind` and its `size`.
+    """
 
     kind: DisturbanceKind
     at_s: float
@@ -76,8 +80,8 @@ class Disturbance:
 class OutputPhase:
     """The state of an output from `since_s` on: switch, voltage, current limit, protection and disturbances.
 
-    The output trips when its voltage reaches `trip_v`, or when its current has been limited for `trip_after_s`;
-    None disables a protection. `on_since_s` is the time of the last switch-on.
+    The output trips when its voltage reaches `trip_v`, or when its current has been at the limit for
+    `trip_after_s`; a protection that is None never trips. `on_since_s` is the time of the last switch-on.
     """
 
     since_s: float
@@ -106,7 +110,7 @@ class OutputReading:
 
 @dataclass(frozen=True)
 class Violation:
-    """A rail outside its absolute maximum ratings: the period, and the worst value in V or A."""
+    """A period in which a rail was outside its absolute maximum ratings; `value` is the worst, in V or A."""
 
     rail: str
     from_s: float
@@ -144,9 +148,9 @@ class Power:
     """The outputs of the supply and the rails of the block.
 
     `block_c` returns the block's temperature at a time, °C. A simulated supply sets its outputs with `change` and
-    reads them with `stage` and `shown`. It sets `returned`, which is called when the mains return, and
-    `one_switch` if its outputs switch together. All times are those of the world's clock. Methods may be called
-    from any thread.
+    reads them with `stage` and `shown`. It stores in `returned` the function to call when the mains return, and
+    sets `one_switch` if its outputs have a common switch. All times are those of the world's clock. Methods may be
+    called from any thread.
     """
 
     def __init__(
@@ -244,7 +248,7 @@ class Power:
             return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
 
     def on_since_s(self, time_s: float) -> float | None:
-        """Return the time at which the block last got power as of `time_s`; None if it has no power or no rails."""
+        """Return when the block last got power, as of `time_s`; None if it then has no power or no rails."""
         if not self.settings.rails:
             return None
         with self._lock:
@@ -309,7 +313,7 @@ class Power:
         return math.inf, None
 
     def _watch(self, begin_s: float, end_s: float) -> None:
-        """Record limit violations and power changes of the rails in a period without switching or disturbance."""
+        """Record violations and power changes of the rails in a period without switching or disturbance."""
         for rail in self.settings.rails:
             volts = [self._rail_v(rail, time_s) for time_s in (begin_s, end_s)]
             low_v, high_v = rail.absolute_v

@@ -75,10 +75,10 @@ class _Stretch:
 
 
 class Heat:
-    """The temperatures of the chamber air and of the block in it, which begin at `ambient_c` at time `now_s`.
+    """The temperatures of the chamber air and of the block in it; both are `ambient_c` at time `now_s`.
 
-    `block_lag_s` is the time constant of the block behind the air. A demanded air temperature holds until the
-    next demand.
+    The block follows the air with the time constant `block_lag_s`. The air keeps a temperature until the next
+    change.
     """
 
     def __init__(self, now_s: float, ambient_c: float, block_lag_s: float) -> None:
@@ -106,8 +106,8 @@ class Heat:
     ) -> None:
         """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
 
-        With a period `ringing_s` the air overshoots the target and rings with this period; the ringing decays with
-        the lag.
+        With a period `ringing_s` the air overshoots the target and oscillates about it with this period; the
+        oscillation decays with the lag.
         """
         start_c = self.air_c(now_s)
         slope_c_s = math.copysign(rate_c_s, target_c - start_c)
@@ -126,9 +126,10 @@ class Heat:
     def _go_on(
         self, since_s: float, base_c: float, slope_c_s: float, excess_c: complex, lag_s: complex
     ) -> None:
-        """Begin a course of air temperature (line plus excess) at `since_s`, instead of those scheduled after it.
+        """From `since_s` on, the air follows a line plus an excess, °C; drop the changes scheduled after it.
 
-        The excess `excess_c` decays with `lag_s`; complex values make it oscillate.
+        The line starts at `base_c` with `slope_c_s`. The excess `excess_c` decays with `lag_s`; complex values make
+        it oscillate.
         """
         if cmath.isclose(lag_s, self._block_lag_s, rel_tol=_LEAST_SPREAD):
             lag_s = self._block_lag_s * (1.0 + _LEAST_SPREAD)
@@ -188,15 +189,15 @@ _CACHED_SIGNALS: Final = 4096
 class WorldSettings:
     """Settings of the simulated world.
 
-    `stand` maps names in `STAND_NAMES` to the distributions of the stand errors: the stand angles (rad, drawn at
-    each mounting), "setting_error" alpha4 (rad, drawn at each turn of the head) and "voltmeter_error" (V, drawn
-    for each reading of each channel); an omitted error is zero. The room swings about `ambient_c` by `room_swing`
-    (K, period in s), and the meters follow it with `meter_lag_s`. `block_time_constant_s` is the lag of the block
-    behind the chamber air. A controlled chamber ramps its demand at `chamber_rate_c_s`, and its air follows with
-    the lag `chamber_lag_s`; with a period `chamber_ringing_s` it overshoots and rings. Switched off, it relaxes
-    to the room temperature with `chamber_off_lag_s`. The platform conducts heat: the block settles at the air
-    temperature plus `room_share` of the difference between room and air. A block without rails in `power` always
-    has power.
+    `stand` maps names in `STAND_NAMES` to the distributions of the stand errors; an omitted error is zero. The
+    stand angles (rad) are drawn at each mounting, "setting_error" alpha4 (rad) at each turn of the head,
+    "voltmeter_error" (V) at each reading of each channel.
+    The room's temperature is a sine about `ambient_c` with the amplitude (K) and period (s) `room_swing`; the
+    meters follow it with the lag `meter_lag_s`. A controlled chamber ramps its demand at `chamber_rate_c_s`, and
+    its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it overshoots and oscillates.
+    The air of a chamber that is off relaxes to `ambient_c` with the lag `chamber_off_lag_s`. The block follows the
+    air with the lag `block_time_constant_s`; the platform shifts it towards the room's temperature by the fraction
+    `room_share` of the difference. A block without rails in `power` always has power.
     """
 
     block: Block
@@ -269,8 +270,7 @@ class World(KeyedNumbers):
     def aside(self) -> Iterator[None]:
         """Let instruments be read in this context; its end restores time, history and random numbers.
 
-        Random numbers drawn in it belong to no step. The clock must be virtual, because no other can be set
-        back.
+        Random numbers drawn in it belong to no step. Only a virtual clock can be set back; other clocks run on.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -298,7 +298,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to their values after a levelling for this mounting."""
+        """Set tilt and zero offset of the platform to the values that levelling it for this mounting leaves."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -309,7 +309,7 @@ class World(KeyedNumbers):
         self._level_turned = turned
 
     def turn(self, scale_angle_rad: float, direction: Direction) -> None:
-        """Turn the head until its scale shows `scale_angle_rad`; the true angle differs by a newly drawn alpha4."""
+        """Turn the head until its scale shows `scale_angle_rad`; a new alpha4, the setting error, is drawn."""
         with self._lock:
             self._pose_on(
                 turn=HeadTurn(self.clock.now_s(), scale_angle_rad, scale_angle_rad),
@@ -384,7 +384,7 @@ class World(KeyedNumbers):
             )
 
     def switch_chamber_off(self) -> None:
-        """Let the chamber air relax to the room temperature."""
+        """Let the chamber air relax to `ambient_c`, the mean temperature of the room."""
         with self._lock:
             self._chamber_demand_c = None
             self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
@@ -399,8 +399,8 @@ class World(KeyedNumbers):
     def new_reading(self, channel: Channel) -> int:
         """Begin a reading of a channel: draw its voltmeter error; return the reading's number in the step.
 
-        A pose that was read with the head at rest becomes part of the history on which effects depend. The order
-        in which channels are begun is the scan order, unless the step stated one.
+        If the head is at rest, the pose becomes part of the history on which effects depend. The scan order is the
+        order in which channels are begun, unless the step stated one.
         """
         with self._lock:
             if self._aside:  # keep the meter's error and the history of the last reading
@@ -433,8 +433,8 @@ class World(KeyedNumbers):
     ) -> None:
         """Add a reading, made before the world was rebuilt, to the history on which effects depend.
 
-        Arguments are as recorded; without an installation, the pose of the reading recalled before applies. Call
-        this in the order of measurement, before the first new reading.
+        The arguments are the recorded values; `installation` None means the pose of the previously recalled
+        reading. Recall readings in the order of measurement, before the first new reading.
         """
         with self._lock:
             time_s = self.began_s + elapsed_s
@@ -471,7 +471,7 @@ class World(KeyedNumbers):
 
     @property
     def head_stuck(self) -> bool:
-        """Whether the head is stuck short of its target."""
+        """Whether the head stands still, stuck on the way to its target."""
         return self._poses[-1].stuck and self.head_rate_rad_s == 0.0
 
     @property
@@ -516,7 +516,7 @@ class World(KeyedNumbers):
         return self._swung_c(time_s, self.settings.meter_lag_s)
 
     def _swung_c(self, time_s: float | None, lag_s: float) -> float:
-        """Return the temperature of a body that follows the room with a first-order lag, °C, in the steady swing.
+        """Return the temperature of a body that follows the room's swing with a first-order lag, °C.
 
         The transient at the beginning of the world is ignored.
         """
@@ -539,9 +539,9 @@ class World(KeyedNumbers):
     def signal_v(self, channel: Channel, time_s: float | None = None) -> float:
         """Return the voltage at a meter's terminals at `time_s` of the clock (default: now), V.
 
-        The voltage is the forward model's reading with all effects at the true angle, or the voltage that
-        `select_input` switched in, plus the voltmeter error of the channel's present reading. A block without
-        power gives almost zero. A meter that evaluates its samples later passes the time of each sample.
+        It is the forward model's reading at the true angle with all effects, or the voltage of `select_input`. The
+        voltmeter error of the channel's present reading is added. A block without power gives almost zero. A meter
+        that evaluates its samples later passes the time of each sample.
         """
         at_s = self.clock.now_s() if time_s is None else time_s
         with self._lock:
