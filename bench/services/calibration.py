@@ -248,7 +248,7 @@ class CalibrationResult:
 
     @property
     def bench(self) -> str:
-        """The name of the bench file used for errors of the stand and gravity, with the reason for it."""
+        """The name of the bench file that states gravity and the errors of the stand, and why it was chosen."""
         return self.source.taken.words
 
     @property
