@@ -452,7 +452,7 @@ def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Return a bar chart of each coefficient's u; each source has the share of the bar that it has of u²."""
+    """Return a bar chart of each coefficient's u; a bar is divided among sources in proportion to their u²."""
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}

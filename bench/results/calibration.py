@@ -380,7 +380,8 @@ def coefficients_table(found: Calibration) -> Table:
 def sources_table(found: Calibration) -> Table:
     """Return a table of the error sources that readings do not show.
 
-    A row states the coefficient that the source affects most, relative to its u, and the contribution to its u.
+    A row states to which coefficient the source contributes most, compared with that coefficient's u, and how
+    much.
     """
     shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:

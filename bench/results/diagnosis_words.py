@@ -171,7 +171,7 @@ def significance_in_words(effect: NamedEffect) -> str:
 
 
 def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each reason for not searching for effects, with the names of these effects."""
+    """Yield each reason why effects were not searched for, with the names of these effects."""
     for why in dict.fromkeys(absent.values()):
         yield why, [name for name, other in absent.items() if other == why]
 
@@ -288,7 +288,7 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return the duration of the procedure that is proposed for a tie, and how likely it leaves one name; or ""."""
+    """Return duration and chance of success of the procedure proposed to resolve a tie; "" without a tie."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""

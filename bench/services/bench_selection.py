@@ -151,7 +151,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the origin in a readings file's origin file; an origin file with another SHA-256 is not used."""
+    """Return the origin in a readings file's origin file, unless that file has the SHA-256 of other readings."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():

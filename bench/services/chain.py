@@ -52,7 +52,7 @@ def civil_now() -> str:
 
 @dataclass
 class Chain:
-    """A register in `folder`, as far as it was read: `count` lines of `length` bytes; `head` is the last hash.
+    """A register in `folder`, as far as it was read: `count` lines, `length` bytes; `head` hashes the last line.
 
     `KIND` is the kind of register, and the name of its folder beside a laboratory file. `opened` locks a register
     against other writers.
@@ -66,7 +66,7 @@ class Chain:
     count: int = 0
 
     def __post_init__(self) -> None:
-        """If no `head` is given, set it to the hash that the first line of a register names as the previous one."""
+        """Set a missing `head` to the hash that the first line of the register must contain as the previous one."""
         self.head = self.head or hashlib.sha256(f"triaxial-bench {self.KIND} 1\n".encode()).hexdigest()
 
     @classmethod
@@ -79,7 +79,7 @@ class Chain:
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:
-        """Store the content of a file that an entry is based on under its SHA-256; return the SHA-256."""
+        """Store `content`, on which an entry is based, under its SHA-256; return the SHA-256."""
         digest = hashlib.sha256(content).hexdigest()
         place = self.folder / MADE_FROM / digest
         if not place.is_file():

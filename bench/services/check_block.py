@@ -559,7 +559,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return a check in sentences. Raises `Refused` if it forbids the run by the `rule` and `reason` is None."""
+    """Return a check in sentences. A failed one raises `Refused`, unless `rule` is "warn" or a reason is given."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

@@ -349,8 +349,8 @@ def impossible(covariance: Floats) -> str:
     Within rounding, a covariance is symmetric and has no negative variance, no correlation |r| above 1 and no
     negative eigenvalue. Each entry is computed as a sum of m products b_ik b_jk; m counts readings and items of
     prior knowledge. The rounding error of an entry is at most m u sqrt(c_ii c_jj) with u = 2^-53 (Higham, Accuracy
-    and Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). That of a
-    correlation is at most `ROUNDING`; that of an eigenvalue of the correlation matrix is at most n `ROUNDING`
+    and Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). The error of a
+    correlation is at most `ROUNDING`; the error of an eigenvalue of the correlation matrix is at most n `ROUNDING`
     (Weyl).
     """
     variance = np.diag(covariance)
@@ -401,7 +401,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
-    """Return coefficients as a dated calibration; `dof` is the smallest among its nine intrinsic numbers."""
+    """Return coefficients as a dated calibration; `dof` is the smallest dof of its intrinsic numbers."""
     from bench.history.comparison import Snapshot
 
     return Snapshot(

@@ -204,7 +204,7 @@ class CalibrationToWrite:
 
 
 def results_of(request: Request) -> list[CalibrationToWrite]:
-    """Calibrate the readings and read the result files among the sources; return both. Raises `Refused`."""
+    """Return the calibrations of all sources: readings are calibrated, result files are read. Raises `Refused`."""
     names = [name for name in request.sources if isinstance(name, str) and is_result(Path(name))]
     asked = (request.bench, request.model, request.g_m_s2)
     if names and (any(value is not None for value in asked) or request.skip_bad_rows):

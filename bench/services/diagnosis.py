@@ -257,7 +257,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings of each source with outlying positions, without these, by number of the source."""
+        """Return the readings without outlying positions of each source that has any, by source number."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -305,7 +305,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings of each source with outlying positions, without these, by number of the source."""
+        """Return the readings without outlying positions of each source that has any, by source number."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]
@@ -351,7 +351,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose a body and write the requested files; `report` (write a page) applies if the request leaves it open.
+    """Diagnose a body and write the requested files; `report` decides on a page if the request leaves it open.
 
     Raises `CalibrationError` if the readings do not determine the coefficients.
     """

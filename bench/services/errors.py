@@ -113,7 +113,7 @@ def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) 
 
 
 def named(option: str, text: str, example: str) -> tuple[str, str]:
-    """Return name and value in the text "NAME=VALUE" of an option. For other text, `Refused` shows `example`."""
+    """Return name and value in the text "NAME=VALUE" of an option. Raises `Refused`, which shows `example`."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip() or not value.strip():
         raise Refused(f"{option} {text}: give a name and its value, such as {example}")

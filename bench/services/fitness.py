@@ -56,8 +56,8 @@ def without_gravity(bench: BenchFile) -> Iterator[str]:
 def is_away(answers: str | None, *, panel: bool) -> bool:
     """Return whether a person answers through the run's folder, and not at a terminal.
 
-    So it is if `answers` is "folder", or if it is None and a `panel` serves a program without terminal. Raises
-    `Refused` for any other text than "folder" and "terminal".
+    This is the case if `answers` is "folder", or if it is None and a `panel` runs the program without a terminal.
+    Raises `Refused` for any text but "folder" and "terminal".
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -107,7 +107,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """If the bench file says `expired: ask`, ask before a real run to go on. Raises `BenchError` after a no."""
+    """Before a real run with expired certificates and `expired: ask`, ask to go on. A no raises `BenchError`."""
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

@@ -88,7 +88,7 @@ class Persons(Chain):
         return next((one for one in self.everyone.values() if not one.ended and one.has_token(token)), None)
 
     def chosen(self, name: str, right: Right, option: str) -> Person:
-        """Return the person called `name`. Raises `Refused`, which names the option, if the right is missing."""
+        """Return the person called `name`. Raises `Refused`, naming the option, for a person without the right."""
         able = {one.name: one for one in self.who_may(right)}
         if name in able:
             return able[name]
@@ -156,7 +156,7 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name and, if a register has it, role and rights for the record. Raises `Refused`."""
+    """Return the operator's name, and role and rights for the record (None without register). Raises `Refused`."""
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
     register = persons_of(laboratory_known(laboratory))

@@ -210,7 +210,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return `count` equally spaced angles of a turn, rad, less those that the head cannot approach both ways."""
+    """Return those of `count` equally spaced angles, rad, that the head can approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
@@ -349,7 +349,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return the limit of each error for which k u meets the accuracy. Raises `Refused`, `CalibrationError`."""
+    """Return how large each error may be for k u to meet the accuracy. Raises `Refused`, `CalibrationError`."""
     estimator = in_a_budget(request.estimator).name
     taken = find_bench_file(request.bench)
     file, of = taken.file, request.of

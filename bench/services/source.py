@@ -224,7 +224,7 @@ def check_places(request: Request) -> None:
 
 
 def one_place(place: str) -> str:
-    """Return the error message for two sources whose results would be written to the same files, `place`*."""
+    """Return the error message for two sources whose results would be written to the same `place`."""
     return (
         f"two sources would write {place}*; name each source once, and evaluate different sources of one name "
         "separately, each with its own --out DIR"

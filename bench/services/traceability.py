@@ -123,7 +123,7 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return the bench without certificates of other instruments, the corrected readings, and what corrected them.
+    """Return the bench without certificates of other instruments, the corrected readings, and the corrections.
 
     A certificate belongs to another instrument if the instrument reported another serial number.
     """
