@@ -121,7 +121,7 @@ class OriginBeside:
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return the origin of a run's readings; an imported run has the origin file that was imported with it."""
+    """Return the origin of a run's readings; for an imported run, from any origin file imported with it."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
