@@ -102,7 +102,7 @@ class DifferentVerdict(_Different):
     largest_change_of: str | None
 
     def cells(self) -> list[str]:
-        """Return the table cells after the verdicts: stored Δg, new Δg, and the largest change."""
+        """Return the cells after the verdicts of a row: stored Δg, new Δg, largest change of a coefficient."""
         sizes = (self.worst_delta_g_stored, self.worst_delta_g)
         change = self.largest_change_in_u
         went = "" if change is None else f"{change:.2g} u in {self.largest_change_of}" if change else "none"
@@ -116,7 +116,7 @@ class DifferentNames(_Different):
     names: str
 
     def cells(self) -> list[str]:
-        """Return the table cells after the verdicts: the stored and the new names."""
+        """Return the cells after the verdicts of a row: the effects named before, and the effects named now."""
         return [self.names_stored, self.names]
 
 
@@ -161,7 +161,7 @@ class BatchResult(ResultModel):
     files: list[str] = Field(description="tables written to the batch's folder")
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether no verdict differs and no run failed; `strict` also counts differences in fit or names."""
+        """Return whether no verdict differs and no run failed; with `strict`, fit and names must agree, too."""
         more = (self.fit or self.names) if strict else None
         return not (self.verdicts.different or self.runs.failed or (more and more.different))
 

@@ -192,7 +192,7 @@ class BudgetResult(ResultModel):
 def budget_result(
     found: Assessment, *, bench: BenchPart, procedure: str, about: str, g_m_s2: float
 ) -> BudgetResult:
-    """Return the result of an assessment; `about` names the block to which the budget applies."""
+    """Return the result of a budget; `about` names the block to which it applies."""
     budget, question = found.budget, found.question
     total, setup, contributions = budget.combined, budget.setup, budget.contributions
     factor = coverage_factor(total.dof)
@@ -452,7 +452,7 @@ def figures(result: BudgetResult) -> tuple[BudgetFigure, ...]:
 
 
 def contributions(result: BudgetResult) -> BudgetFigure:
-    """Return a bar chart of each coefficient's u, divided among the sources in proportion to variance."""
+    """Return a bar chart of each coefficient's u; a bar is divided among sources in proportion to their u²."""
     names = result.order
     u = np.array([result.coefficients[name].u for name in names])
     parts = {name: np.array(source.contribution_u) ** 2 for name, source in result.sources.items()}
@@ -481,7 +481,7 @@ def contributions(result: BudgetResult) -> BudgetFigure:
 
 
 def modulus(result: BudgetResult) -> BudgetFigure:
-    """Return a plot of u(|a|) against |a|: mean and maximum over directions, and the largest sources."""
+    """Return a plot of u(|a|) against |a|: mean and maximum over directions, and u from the largest sources."""
     rows = result.acceleration.magnitudes
     at = np.array([row.magnitude_g for row in rows])
     mean = np.array([row.u_modulus_mean for row in rows])

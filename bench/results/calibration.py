@@ -252,7 +252,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return the result of a calibration; `made_from` holds the member `source` and all members after it."""
+    """Return the result of a calibration; `made_from` holds the members of `CalibrateResult` from `source` on."""
     return CalibrateResult.from_object(
         found,
         per="g",
@@ -378,7 +378,11 @@ def coefficients_table(found: Calibration) -> Table:
 
 
 def sources_table(found: Calibration) -> Table:
-    """Return a table of the error sources that readings do not show, and the largest contribution of each."""
+    """Return a table of the error sources that readings do not show.
+
+    A row states to which coefficient the source contributes most, compared with that coefficient's u, and how
+    much.
+    """
     shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:
         u = u_of(source.covariance)

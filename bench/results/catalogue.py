@@ -245,7 +245,7 @@ def unit_page(result: UnitResult) -> str:
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration], *, inline: bool = False) -> str:
-    """Return an SVG file, or an element if `inline`: each coefficient minus its last value, with U (k = 2)."""
+    """Plot each coefficient minus its last value, with U (k = 2); return SVG: a file or (`inline`) an element."""
     from bench.results.plots import BLUE, GREY, svg_figure, svg_file, symbol
 
     dates = np.array([one.created[:19] for one in calibrations], dtype="datetime64[s]")
@@ -274,7 +274,7 @@ def unit_figure(calibrations: Sequence[UnitCalibration], *, inline: bool = False
 
 
 def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str, ...]]:
-    """Return a row for each coefficient: name, last value, U, change since previous and first value, unit."""
+    """Return a row for each coefficient: name, last value, U, changes since the previous and the first, unit."""
     if not calibrations:
         return []
     values, sizes = _arrays(calibrations)

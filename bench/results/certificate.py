@@ -142,7 +142,7 @@ class RegisterSays(ResultModel):
 
     @property
     def known(self) -> bool:
-        """Whether the register has the certificate's number."""
+        """Whether the register contains the certificate's number."""
         return self.state != "unknown"
 
     @property
@@ -152,12 +152,12 @@ class RegisterSays(ResultModel):
 
     @property
     def vouches(self) -> bool:
-        """Whether the certificate is in the register that the user named; any other register proves nothing."""
+        """Whether the user named the register, and it contains the certificate; another register proves nothing."""
         return self.named and self.known
 
     @property
     def words(self) -> str:
-        """The state in the register, as text that is appended to the verdict; "" for a valid certificate."""
+        """The end of the verdict in words: the certificate's state in the register; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
@@ -189,9 +189,10 @@ class VerifyResult(ResultModel):
 
     @property
     def accepted(self) -> bool:
-        """Whether the certificate is intact, the signer trusted and the number valid, as far as each was checked.
+        """Whether the certificate is intact, its signer trusted, and its number valid in the register.
 
-        An unsigned certificate is accepted only if a register that the user named contains it.
+        Without a trust file or register, the respective check is left out. An unsigned certificate is accepted
+        only if a register that the user named contains it.
         """
         standing = self.register_
         holds = standing is None or standing.holds

@@ -102,7 +102,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of a check, and the objects from which its text is made: plan, bench and predictions."""
+    """The result of `bench check`, and what its printed text needs besides: plan, bench and predictions."""
 
     result: CheckResult
     plan: Plan
@@ -112,7 +112,7 @@ class Findings:
 
     @property
     def can_be_tried(self) -> bool:
-        """Whether a dry run is possible."""
+        """Whether a dry run is possible: no problem, and no prompt that stops a dry run."""
         return not (self.result.problems or self.result.dry_run_refuses)
 
 
@@ -150,7 +150,7 @@ def until_part(found: TimeOutlook) -> UntilPart:
 
 
 def print_findings(found: Findings, out: Console, *, every_step: bool = False) -> None:
-    """Print steps, expected times, undetermined coefficients and problems; `every_step` unfolds the steps."""
+    """Print steps, expected times, undetermined coefficients and problems; `every_step` is that of `listing`."""
     result, plan, bench = found.result, found.plan, found.bench
     if (before := switched_before(plan, bench)) is not None:
         out.print(f"{'before':>13}  {before}")
@@ -265,7 +265,7 @@ FEWEST_PASSES: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A line of a listing: the first and the last step (from 1) that it describes, and the description."""
+    """A line of a listing: its text, and the numbers (from 1) of the first and last step that it describes."""
 
     first: int
     last: int

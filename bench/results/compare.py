@@ -192,7 +192,7 @@ def print_compare(result: CompareResult, out: Console) -> None:
 
 
 def verdict_of(result: CompareResult) -> str:
-    """Return a clause on whether the block changed, and on which of its numbers did."""
+    """Return a clause that says whether the block changed, and which of its numbers differ."""
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
@@ -234,7 +234,7 @@ def _drift_table(drift: LinesPart) -> Table:
 
 
 def history_figure(comparison: Comparison) -> str:
-    """Return an SVG file: each intrinsic number minus its first value, with U (k = 2); changed ones red."""
+    """Return an SVG plot of each intrinsic number minus its first value, with U (k = 2); changed ones are red."""
     found = comparison.nine
     snapshots = [found.first, *(changes.later for changes in found.changes)]
     dates = [snapshot.when for snapshot in snapshots if snapshot.when is not None]
@@ -406,7 +406,7 @@ def _beyond(of: BenchComparison, numbers: BenchesIn) -> list[BeyondPart]:
 
 
 def print_benches(result: BenchesResult, out: Console) -> None:
-    """Print for each number its consistency and the worst bench, then the joint tests over all numbers."""
+    """Print for each number the test of consistency and the worst bench, then the joint tests of all numbers."""
     out.print(
         f"{len(result.benches)} benches on {len(result.units)} common units, {result.calibrations} calibrations; "
         "d = bench less reference, U with k=2"
@@ -435,7 +435,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return factor and unit to print differences of the number `name`, such as arcsec for an angle."""
+    """Return the unit in which differences of the number `name` are printed, and the factor to that unit."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit
@@ -476,8 +476,9 @@ def draw_degrees(
 ) -> None:
     """Draw the deviation of each bench or laboratory in each intrinsic number, with bars of ±U (k = 2).
 
-    `nine` has for each number the deviations (w,), their u (w,), and a dark uncertainty, which is drawn as a
-    band. Deviations beyond U are red crosses. `who` (w,) are the names, `signal` is the unit of signals.
+    `nine` has for each number the deviations (w,), their u (w,), and the dark uncertainty, drawn as a band.
+    Deviations larger than U are red crosses. `who` (w,) are the names of benches or laboratories, `signal` is the
+    unit of the signals.
     """
     rows = np.arange(len(who))
     grid = figure.subplots(3, 3, sharey=True)

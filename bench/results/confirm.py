@@ -90,7 +90,7 @@ def _effect_part(now: EffectNow) -> EffectPart:
 
 
 def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
-    """Return the result of a model's test; `made_from` holds the member `model` and all members after it."""
+    """Return the result of a model's test; `made_from` holds the members of `ConfirmResult` from `model` on."""
     in_g, in_v = found.unit == "g", found.unit == "V"
     return ConfirmResult.from_object(
         found,
@@ -109,7 +109,7 @@ def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
 
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
-    """Print the verdict on each effect, and how much of the gap the model closes."""
+    """Print notes, the verdict on each effect, and how much of the gap the model closes."""
     print_notes(out, notes)
     for effect in found.effects:
         for line in effect_now_in_words(effect):
@@ -139,7 +139,7 @@ def either_in_words(effect: EffectNow) -> str:
 
 
 def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
-    """Yield lines on an effect in new readings: its verdict, and its values in the model and in the readings."""
+    """Yield lines on an effect in new readings: its verdict, and each value in the model and in these readings."""
     name = either_in_words(effect) or label(effect.applied)
     if effect.verdict is None:
         yield f"{name}: these readings do not show it"

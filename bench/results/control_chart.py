@@ -176,10 +176,10 @@ class ChartResult(ResultModel):
 
 @dataclass(frozen=True)
 class CheckBlockChart:
-    """The control charts of a check block: `chart`, which decides, shows its nine intrinsic numbers.
+    """The control charts of a check block: `chart`, of its nine intrinsic numbers, gives the verdict.
 
     `twelve` is the chart of the twelve coefficients. `unit` is the unit of the signals; `g_m_s2` is the local
-    g, m/s², to which scale factors refer. `notes` names the runs left out.
+    g, m/s², to which scale factors refer. `notes` names the runs that are not in the charts.
     """
 
     chart: ControlChart
@@ -432,7 +432,7 @@ def render_chart(found: CheckBlockChart) -> str:
 
 
 def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
-    """Draw panels of T² of each run, T² of the EWMA and, if known, the short-term scatter of a reading."""
+    """Draw panels of T² of each run, T² of the EWMA and, if known, the standard deviation of a reading."""
     shown = slice(-MOST_SHOWN, None)
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
     along = np.arange(1.0, len(chart.later) + 1)[shown]
@@ -450,7 +450,7 @@ def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
 
 
 def draw_single(chart: ControlChart, unit: str, figure: Figure) -> None:
-    """Draw a panel for each number of the chart: its deviation and its EWMA, each with its limits."""
+    """Draw a panel for each number: its deviations from the centre line and their EWMA, each with its limits."""
     shown = slice(-MOST_SHOWN, None)
     along = np.arange(1.0, len(chart.later) + 1)[shown]
     rows = -(-len(chart.names) // 3)

@@ -262,7 +262,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis without search for effects, as mistakes leave too few readings."""
+    """Return the result of a diagnosis that ended with mistakes, because they leave too few readings to go on."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -388,7 +388,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes found by a diagnosis that ended with them, and what must be measured again."""
+    """Print the mistakes of a diagnosis that found nothing else, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")
@@ -409,7 +409,7 @@ def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
-    """Print an effect that was found, with its values, its odds and the effects indistinguishable from it."""
+    """Print an effect that was found: values, probability, and the effects that these readings cannot rule out."""
     out.print(f"Found: {words.effect_title(effect)}", style="bold")
     out.print(typeset(f"  {effect.words}"))
     for line in words.parameters_in_words(effect):
@@ -543,7 +543,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
-    """Print the files that were written and, if there is no model file, the reason."""
+    """Print the files that were written and, for a verdict "confounded", why there is no model file."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
     for what, paths in told.items():

@@ -55,7 +55,7 @@ STATES: Final = {"agrees": "passed", "named": "none", "confounded": "none"}
 def render_diagnosis(
     full: FullDiagnosis, files: Files, title: str, limit_g: float, provenance: Mapping[str, str]
 ) -> str:
-    """Return the HTML page, always the same for the same content; `limit_g` is the limit of |Δg|."""
+    """Return the HTML page; the same content always gives the same text. `limit_g` is the limit of |Δg|, g."""
     diagnosis, shown = full.diagnosis, full.shown
     return page(
         "diagnosis.html.j2",
@@ -95,7 +95,7 @@ def render_alone(
     provenance: Mapping[str, str],
     **content: Any,
 ) -> str:
-    """Return the page of free positions or of a record; `content` holds what only one of the two has."""
+    """Return the HTML page for free positions or a record; `content` holds further variables of the `template`."""
     lines = [(words.effect_title(one), one, list(words.parameters_in_words(one))) for one in found.effects]
     return page(
         template,
@@ -122,7 +122,10 @@ def _place(place: ResidualPattern) -> Row:
 
 
 def held_out_rows(gap: Gap) -> list[Row]:
-    """Return a row for each set of held-out readings: effects named without it, misfit before and after."""
+    """Return a row for each set of held-out readings: effects named from the rest, misfit before and after.
+
+    "Before" and "after" mean without and with these effects. Sets that could not be held out have no numbers.
+    """
     rows = [
         Row(
             fold.label,
@@ -137,7 +140,7 @@ def held_out_rows(gap: Gap) -> list[Row]:
 
 
 def coefficient_rows(changes: Mapping[str, CoefficientChange], unit: str) -> list[Row]:
-    """Return table rows of the coefficients before and after, with their change in `unit` and in units of u."""
+    """Return a row for each coefficient: value before and after, change with its unit, and change divided by u."""
     before = aligned([concise(one.before, one.u_before) for one in changes.values()])
     after = aligned([concise(one.after, one.u_after) for one in changes.values()])
     scale = scale_for(max(abs(one.after - one.before) for one in changes.values()), unit)
@@ -202,7 +205,7 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return title and calibration of each column: fit before, fit after (if there is one), simulation."""
+    """Return title and calibration of each column of a figure: fit before, any fit after, and simulation."""
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
         (message("before") if after else message("readings"), shown.before.calibration),
@@ -212,7 +215,7 @@ def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
 
 
 def common_scale(shown: ModelComparison) -> Scale:
-    """Return the scale (prefix of the unit) that all residual figures share."""
+    """Return the prefix of the unit that all figures of residuals share."""
     largest = max(float(np.max(np.abs(c.residuals))) for _, c in columns_of(shown))
     return scale_for(largest, shown.before.calibration.unit)
 
@@ -229,7 +232,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def in_time(shown: ModelComparison) -> str:
-    """Return a plot of the residuals before and after, against time (in order, if times are missing)."""
+    """Return a plot of residuals before and after, against time or, if any time is missing, in order."""
     columns = [
         (title, c, [rows for _, rows in plots.mounts_of(c)])
         for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
@@ -238,7 +241,7 @@ def in_time(shown: ModelComparison) -> str:
 
 
 def gap_bars(gap: Gap) -> str:
-    """Return a bar chart of the reduced chi-square of each set of held-out readings, before and after."""
+    """Return a bar chart of reduced chi-square without and with the effects, for each set of held-out readings."""
     folds = gap.folds
     names = [fold.label.replace(" and ", "\nand ") for fold in folds]
     places = np.arange(len(folds), dtype=float)
@@ -266,7 +269,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of ln odds of the effect `named` and its rivals; a bracket joins those that are tied."""
+    """Return a bar chart of ln odds of the effect `named` and its rivals; a bracket joins the tied effects."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]
@@ -342,7 +345,7 @@ def modulus_at_points(shown: ModelComparison, limit_g: float) -> str:
 
 
 def most_telling(shown: ModelComparison) -> list[int]:
-    """Return the indices of the mountings, largest change of the signals by the effects found first."""
+    """Return the indices of the mountings, first the one where the effects found change the signals most."""
     before, last = shown.before.calibration, shown.last.calibration
     missing = before.residuals - last.residuals
     sizes = [float(np.mean(missing[rows] ** 2)) for _, rows in plots.mounts_of(before)]
@@ -393,9 +396,9 @@ def overlay(
 ) -> str:
     """Return a plot of measured and simulated signals, a row per channel; `place` is in its title.
 
-    The left column shows the signals. The right column shows them minus the simulation by the given model, that
-    is, what this model lacks and how much of it the effects found explain. `draw_channel` draws a channel into its
-    axes.
+    The left column shows the signals. The right column shows them minus the simulation by the given model: what
+    this model lacks, and how much of it the effects found explain. `draw_channel` draws one channel into a left
+    and a right axes; `along` is the label of the horizontal axis.
     """
     whose = (
         message("simulated with the effects found") if found else message("simulated with the given model")

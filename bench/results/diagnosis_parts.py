@@ -196,7 +196,7 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result on `found`; `made_from` holds bench, certificates and the members on the source."""
+        """Return the result for the diagnosis `found`; `made_from` holds the members on bench and readings."""
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
         return cls.from_object(found, **{**written, **of_source, **others})
@@ -291,7 +291,7 @@ def mistake_part(mistake: Mistake) -> EffectPart:
 
 
 def gap_part(gap: Gap) -> GapPart:
-    """Return the part on the misfit of held-out readings; its numbers are null if none were held out."""
+    """Return the part on the misfit of held-out readings; its numbers are null if no reading was held out."""
     return GapPart.from_object(
         gap,
         **_sizes(gap),

@@ -89,7 +89,7 @@ def unit_in_print(unit: str) -> str:
 
 
 def with_unit(number: str, unit: str) -> str:
-    """Return a number with the printed form of its unit: "58 µg/g²", "8.1″"; "0.3" if the unit is "1"."""
+    """Return a number with its printed unit: "58 µg/g²", "8.1″"; without unit if that is "1"."""
     printed = unit_in_print(unit)
     if printed == "1":
         return number
@@ -109,7 +109,7 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
 
 
 def in_installations(names: Sequence[str]) -> str:
-    """Return the place of an effect: " in installations 1, 2" or, for free positions, " in sensor 2"."""
+    """Return the place of an effect in words: " in installations 1, 2" or, in free positions, " in sensor 2"."""
     listed = ", ".join(names)
     if listed.startswith("sensor"):
         return f" in {listed}"
@@ -136,7 +136,7 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
 
 
 def parameter_in_words(value: EffectValue, at: str) -> str:
-    """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` names its place, or is empty."""
+    """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` is its place in words, or ""."""
     if value.u is None:
         size = message(
             f"{with_unit(format(value.value, 'g'), value.unit)} (the likeliest of the values tried)"
@@ -163,7 +163,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return in words the corrected p-value of an effect and, if known, its total size rho."""
+    """Return the p-value of an effect, corrected for multiple tests, and its size rho in units of the noise."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -171,7 +171,7 @@ def significance_in_words(effect: NamedEffect) -> str:
 
 
 def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
-    """Yield each reason why effects were not searched for, with the names of the effects that it concerns."""
+    """Yield each reason why effects were not searched for, with the names of these effects."""
     for why in dict.fromkeys(absent.values()):
         yield why, [name for name, other in absent.items() if other == why]
 
@@ -182,7 +182,7 @@ def sentence_of(family: str) -> str:
 
 
 def place_in_words(place: ResidualPattern) -> str:
-    """Return a residual pattern as a phrase: its place, its description, its size and its p-value."""
+    """Return a pattern of residuals as a phrase: its place, description, size and p-value."""
     where = message("verification points") if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
         where += message(", whole run")
@@ -193,10 +193,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return each effect that the readings can show, and the size that half of all runs reveal.
+    """Return each effect that such readings can show, with the size that is found in half of all runs.
 
-    The size is for the variant that is easiest to find. For several parameters, such as the two phases of a wave,
-    the size is their norm in the direction that is hardest to find.
+    If an effect has variants, the size is that of the one easiest to find. If it has several parameters, such as
+    the two phases of a wave, the size is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -217,7 +217,7 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
 
 
 def orders_in_words(orders: Sequence[int]) -> str:
-    """Return the first orders of harmonics per turn: "6, 10, 14, 18, …"."""
+    """Return the first of these `orders` of harmonics (periods per turn): "6, 10, 14, 18, …"."""
     shown = ", ".join(str(order) for order in orders[:LISTED_IN_SENTENCE])
     return f"{shown}, …" if len(orders) > LISTED_IN_SENTENCE else shown
 
@@ -246,9 +246,9 @@ def closed_in_words(
 ) -> str:
     """Return how far a gap closes: "gap closed 99 %, from 412 µg to 9.0 µg (noise alone: 8.8 µg)".
 
-    `part` is the closed part of the reduced chi-square, in which each reading is weighted by the u of its
-    prediction. The root mean squares `before_g` and `after_g` are unweighted, and may rise if few held-out
-    readings have uncertain predictions.
+    `part` is the closed fraction of the gap in reduced chi-square, which weights each reading by the u of its
+    prediction. The root mean squares `before_g` and `after_g` are unweighted: they may rise if the predictions of a
+    few held-out readings are uncertain.
     """
     before, after, noise = (
         micro_g(v) if unit == "g" else quantity(v, unit) for v in (before_g, after_g, noise_g)
@@ -268,13 +268,13 @@ def closed_in_words(
 
 
 def micro_g(value_g: float) -> str:
-    """Return a size `value_g`, which is in g, as text in µg: "412 µg", "9.0 µg"."""
+    """Return an acceleration in g as text in µg: "412 µg", "9.0 µg"."""
     size = 1e6 * value_g
     return f"{size:.0f} µg" if abs(size) >= WHOLE_UG else f"{two_digits(size)} µg"
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far the named effects close the gap on held-out readings; "" if nothing was named or held out."""
+    """Return how far the named effects close the gap on held-out readings; "" without named effects or gap."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
@@ -288,7 +288,7 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return how long the proposed procedure takes and how likely it resolves a tie; "" without a tie."""
+    """Return duration and chance of success of the procedure proposed to resolve a tie; "" without a tie."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
@@ -299,7 +299,7 @@ def surer_in_words(proposal: Proposal | None) -> str:
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the warnings for the headline: each kind of unusual noise, and readings far from the model."""
+    """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model."""
     yield from (kind.headline for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_IN_SENTENCE])
@@ -315,7 +315,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the probabilities of an effect's names, from 1 % on: "97 % cubic_nonlinearity, 2 % warm_up"."""
+    """Return the names of an effect that have at least 1 %: "97 % cubic_nonlinearity, 2 % warm_up"."""
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
@@ -326,7 +326,7 @@ def _percent(probability: float) -> str:
 
 
 def gap_of_verdict(diagnosis: Findings) -> str:
-    """Return how far the gap closes, or why held-out readings do not confirm the findings; may be ""."""
+    """Return how far the effects close the gap, or why held-out readings do not confirm them; may be ""."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
@@ -384,7 +384,7 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
-    """Return the names of effects, each with the effects tied with it: "bias_drift of x or warm_up; ..."."""
+    """Return the names of effects, each with its tied alternatives: "bias_drift of x or warm_up; ..."."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
@@ -403,13 +403,13 @@ def found_in_words(diagnosis: Findings, nothing: str) -> str:
 
 
 def readings_named(source: str) -> str:
-    """Return a short name for sources of readings: "a + b", or "a … z (5 readings files)"."""
+    """Return a short form of joined names of readings files: "a + b", or "a … z (5 readings files)"."""
     first, *others = source.split(" + ")
     return f"{first} … {others[-1]} ({1 + len(others)} readings files)" if len(others) > 1 else source
 
 
 def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, str]:
-    """Return the evidence for the findings in free positions or in a record, by title, for the model file."""
+    """Return the evidence from free positions or a record for the model file, by title; `gap` is its text."""
     told = {"found in": readings_named(found.source)}
     for one in found.effects:
         rho = "" if one.rho is None else f", rho {one.rho:.1f}"
@@ -425,7 +425,7 @@ def mountings_of(block: ModelComparison) -> str:
 
 
 def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
-    """Return the largest change of a coefficient if `other` is the cause, in words; "" if it is not ranked."""
+    """Return in words which coefficient differs most if effect `other` is the cause; "" if it is not ranked."""
     for rival in ranking:
         if rival.family == other:
             coefficient, in_u = rival.largest_shift
@@ -434,7 +434,7 @@ def shift_in_words(ranking: Sequence[Rival], other: str) -> str:
 
 
 def why_no_model(diagnosis: Findings) -> str:
-    """Return the reason to state after "no model file is written"."""
+    """Return the reason that completes the sentence "no model file was written"."""
     if diagnosis.gap.shrinks is False:
         return message("because the gap on held-out readings does not shrink: the model would be no better")
     if any(effect.cannot_tell_from for effect in diagnosis.effects):
@@ -443,7 +443,7 @@ def why_no_model(diagnosis: Findings) -> str:
 
 
 def joined_in_words(shown: ModelComparison) -> Iterator[str]:
-    """Yield a sentence if verification points joined the fit, because only they show some effect found."""
+    """Yield a sentence if verification points joined the fit because an effect shows only there."""
     if shown.after is None or not shown.after.joined:
         return
     without, with_it = shown.before.worst_g, shown.after.worst_g
@@ -456,7 +456,7 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
 
 
 def still_missing(shown: ModelComparison) -> bool:
-    """Return whether the readings differ from the last model by more than the scatter of repeats."""
+    """Return whether readings and last model (with any effects found) differ by more than repeats scatter."""
     return shown.last.tested and shown.last.test.shown
 
 
@@ -507,7 +507,7 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u grows much through the effects found, as "Kyz (u 249 times)"."""
+    """Return the coefficients whose u is much larger with the effects found, as "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
@@ -581,7 +581,7 @@ def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
 
 
 def dark_for_model(form: FreeForm) -> str | None:
-    """Return the unexplained scatter for a model file: "41 uV with u 6 uV"; None without terms or if unknown."""
+    """Return the unexplained scatter for a model file: "41 uV with u 6 uV"; None if unknown or without terms."""
     if not form.applied or not isfinite(form.dark.upper):
         return None
     if form.dark.there:

@@ -43,12 +43,12 @@ class LimitedPart(ResultModel):
 
 
 def signed_size(value: float, unit: str) -> str:
-    """Return a size with its sign, unit and prefix: "+2.5 µV"."""
+    """Return a value with its sign and unit prefix: "+2.5 µV"."""
     return f"{MINUS if value < 0 else '+'}{quantity(abs(value), unit)}"
 
 
 def limit_in_words(limit: float | None, unit: str) -> str:
-    """Return an upper limit with its unit in words; `limit` None means infinity."""
+    """Return an upper limit with its unit as text; a `limit` of None means infinity."""
     return quantity(math.inf if limit is None else limit, unit)
 
 

@@ -184,10 +184,10 @@ MARKS: Final = "osD^vP*X"
 
 
 def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
-    """Return a plot of a sensor's signals in order of measurement, measured over simulated, a row per channel.
+    """Return a plot of a sensor's measured and simulated signals in order of measurement, a row per channel.
 
-    Orientations are unknown: each position is simulated in the direction that its signals indicate, so that
-    only errors of the modulus are visible.
+    Orientations are unknown. Each position is therefore simulated in the direction that its signals indicate,
+    and the plot shows only errors of the modulus.
     """
     rows = found.rows
     mine = rows.sensor == sensor

@@ -91,7 +91,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return a part on each change `seen` of the block: its first and last stop, what measured it, the drift."""
+    """Return the part on each change of the block; `seen` has first and last stop, method and drift of each."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [
@@ -107,7 +107,7 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
 
 
 def drift_words(drift: DriftPart, unit: str) -> str:
-    """Return a change of the block in words: its stops, its largest component in units of u, and its p-value."""
+    """Return a change of the block in words: stops, the number that changed most relative to u, and p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"

@@ -67,13 +67,16 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the joint coverage factor of numbers with `u` (m,) > 0 and degrees of freedom `dof` (m,)."""
+    """Return the part on the joint coverage factor that `joint_of` returns."""
     found = joint_of(u, dof)
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:
-    """Return the joint coverage factor of the numbers with `u` (m,) > 0, for the smallest `dof` (m,)."""
+    """Return the joint coverage factor of m numbers with `u` (m,), for the smallest of their `dof` (m,).
+
+    Numbers with u = 0 do not count.
+    """
     known = u > 0
     return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
 
@@ -91,7 +94,7 @@ def joint_members(found: Calibration) -> dict[str, Any]:
 
 
 def shown_rows(own: Intrinsic) -> list[list[str]]:
-    """Return a row of text for each number: name, value, unit; u from the readings, u, U, their unit."""
+    """Return the cells for each number: name, value, unit of value, u from the readings, u, U, unit of these u."""
     rows = []
     for name, value, *sizes in zip(own.names, own.values, own.u_readings, own.u, own.U, strict=True):
         unit = intrinsic_unit(name, own.unit)
@@ -102,7 +105,10 @@ def shown_rows(own: Intrinsic) -> list[list[str]]:
 
 
 def small_unit(name: str, u: float, unit: str) -> tuple[float, str]:
-    """Return a unit for differences of size `u` in the number `name`: its size in `unit`, and its name."""
+    """Return the printed unit for differences of about `u` in the number `name`: its size and its symbol.
+
+    The size is in `unit`/g for a sensitivity, in degrees for an angle, in g for an offset.
+    """
     if name.startswith("theta"):
         return 1.0 / 3600.0, "″"
     scale = scale_for(u, unit if name.startswith("S") else "g")
@@ -125,7 +131,7 @@ def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
 
 
 def ellipses(own: Intrinsic) -> str:
-    """Return a plot of the 95 % ellipsoid of the nine, projected on pairs; U of each (k = 2) is dashed."""
+    """Return plots of the joint 95 % ellipsoid of the nine numbers, projected on pairs; dashed: their U (k = 2)."""
     from bench.results.plots import BLUE, GREY, svg_figure, symbol
 
     joint, turn = joint_of(own.u, own.dof), np.linspace(0.0, 2.0 * np.pi, _POINTS)

@@ -99,7 +99,7 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return the errors learned from the runs of a bench; `made_from` holds the members on these runs."""
+    """Return the result on errors learned from runs of a bench; `made_from` holds the members on these runs."""
     meters = found.meters
     return LearnResult(
         runs=list(found.runs),
@@ -124,7 +124,7 @@ def _contrasts(found: Contrasts) -> ContrastsPart:
 
 
 def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
-    """Print the contradicting runs, the sizes learned, and what these runs do not determine."""
+    """Print the contradicting runs, the learned errors, and the quantities that these runs do not determine."""
     for one in result.contradicting:
         out.print(f"{one.sentence} (p {one.p:.1g}, adjusted for several tests); it is left out", style="bold")
     kind = "simulated runs" if result.simulated else "runs"

@@ -76,7 +76,7 @@ def print_monitor(result: MonitorResult, on: Console) -> None:
 
 
 def monitor_figures(chart: ControlChart, unit: str) -> dict[str, str]:
-    """Return the charts as SVG by name: the joint statistics, and each number; empty without later runs."""
+    """Return two charts as SVG by name: T², EWMA and s; each number. Without runs after the baseline, return {}."""
     if not chart.later:
         return {}
     return {

@@ -30,9 +30,9 @@ def render_report(
 ) -> str:
     """Return the report as one self-contained HTML page; the same content always gives the same text.
 
-    `compared` is a calibration of the same readings by another estimator; it is ignored if the estimator is the
-    same. `provenance` maps names such as "operator" to text, which is shown unchanged. `warnings` are shown in the
-    box of the verdict.
+    `compared` is a calibration of the same readings, to be compared with `calibration`; it is ignored if both have
+    the same estimator. `provenance` maps names such as "operator" to text, which is shown unchanged. `warnings`
+    are shown in the box of the verdict.
     """
     other = compared if compared is not None and compared.estimator != calibration.estimator else None
     return tables.page(

@@ -20,8 +20,8 @@ Part = TypeVar("Part", bound=ResultModel)
 def by_name(names: Sequence[str], part: type[Part], of: object = None, /, **columns: Any) -> dict[str, Part]:
     """Return a `part` (a model class) for each of m names.
 
-    Each of the `columns` has the values (m,) of one member, or one number for all names. Members without a
-    column are attributes (m,) of the object `of`.
+    Each of the `columns` has the values (m,) of one member, or one value for all names. Members without a
+    column are taken from the attributes (m,) of the object `of`.
     """
     columns |= {
         name: getattr(of, name) for name in part.model_fields if name not in columns and hasattr(of, name)
@@ -40,7 +40,10 @@ TOO_FEW: Final = "lack of fit: too few repeats to tell"
 
 
 def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
-    """Return the outcome of a test: `contradicted` for a lack of fit, `untold` for too few repeats."""
+    """Return the outcome of a test for lack of fit as text: its numbers and, if it is significant, `contradicted`.
+
+    `what` names the test. If there are too few repeats for a test, the text is `untold`.
+    """
     if not math.isfinite(fit.p):
         return untold
     verdict = contradicted if fit.shown else "none shown at 1 %"

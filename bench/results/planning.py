@@ -50,7 +50,7 @@ class LimitPart(ResultModel):
 
     @classmethod
     def of_limit(cls, found: Limit, **part: float) -> LimitPart:
-        """Return the part of the result on a limit; `part=` is the error's fraction of the variance."""
+        """Return the part of the result on a limit; `part=` (if any) is the error's fraction of the variance."""
         source = found.source
         return cls.from_object(
             source,
@@ -70,11 +70,11 @@ class LimitPart(ResultModel):
 
     @property
     def now(self) -> str:
-        """The size that the bench file states, with the printed unit."""
+        """The present size of the error (half-width, or k u) by the bench file, with its printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:
-        """Return a size, in SI, with its printed unit; `down` rounds towards zero."""
+        """Return a `value` in SI with the printed unit of this error; `down` rounds towards zero."""
         unit, size = _SHOWN.get(self.unit, (f" {self.unit}", 1.0))
         return f"{figures(value / size, down=down)}{unit}"
 
@@ -115,7 +115,7 @@ class RequireResult(ResultModel):
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`; for its text, the largest acceleration (or None), and the errors left out."""
+    """The result of `bench require`; its text also names the largest acceleration, if any, and errors left out."""
 
     result: RequireResult
     up_to_g: float | None
@@ -223,7 +223,7 @@ class PlanPointsResult(ResultModel):
 def plan_points_result(
     points: ChosenPoints, u_paper: dict[str, float], bench: BenchPart, procedure: str | None, *, asked: bool
 ) -> PlanPointsResult:
-    """Return the result for the chosen points; `u_paper` maps each goal to the u by the paper's points."""
+    """Return the result for the chosen points; `u_paper` has, by goal, the u that the paper's points give."""
     return PlanPointsResult(
         bench=bench.name,
         bench_file=bench,
@@ -256,8 +256,8 @@ def plan_points_result(
 class PlannedPoints:
     """The result of `bench plan-points`, with additional data for its text.
 
-    `paper_settings` is the number of settings in the paper's procedure. `learned` says whether learned sizes
-    of the bench exist; the plan does not use them. `time` is the bench time allowed.
+    `paper_settings` is the number of settings in the paper's procedure. `learned` says whether the bench has a
+    learned file, which the plan does not use. `time` is the permitted bench time, None without one.
     """
 
     result: PlanPointsResult

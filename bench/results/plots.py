@@ -88,7 +88,10 @@ def residuals_by_angle(calibration: Calibration) -> str:
 def residuals_against_angle(
     name: str, size: tuple[float, float], columns: Columns, scale: Scale, alt: str
 ) -> str:
-    """Return a plot of residuals against head angle: a row per channel, with the ±2σ band of a reading."""
+    """Return a plot of residuals against head angle, a row per channel, a column for each of `columns`.
+
+    A band shows ±2 standard deviations of a reading; `alt` is the alternative text.
+    """
     fine = np.linspace(-8.0, 368.0, 189)
 
     def prepare(number: int, rows: Sequence[Axes]) -> None:
@@ -105,13 +108,13 @@ def residuals_against_angle(
 
 
 def residuals_in_order(calibration: Calibration) -> str:
-    """Return a plot of residuals in order of measurement, or against time if every reading has a time."""
+    """Return a plot of residuals against time or, if a reading has no time, in order of measurement."""
     columns = [("", calibration, [rows for _, rows in mounts_of(calibration)])]
     return residuals_in_time("residuals-order", (7.4, 5.2), columns, residual_scale(calibration))
 
 
 def residuals_in_time(name: str, size: tuple[float, float], columns: Columns, scale: Scale) -> str:
-    """Return a plot of residuals in order of measurement, or against time if every reading has a time."""
+    """Return a plot as `residuals_in_order` does, with a column of panels for each of `columns`."""
     time_s = columns[0][1].fitted.time_s
     along: Floats = np.arange(1.0, len(time_s) + 1.0)
     label = message("reading, in the order of measurement")
@@ -204,7 +207,7 @@ def verification_points(verification: Verification) -> str:
 
 
 def mark_limit(axes: Axes, limit: float, scale: Scale) -> None:
-    """Draw the limits of Δg at the verification points, and label the axes; `limit` is in the unit of the scale."""
+    """Draw lines at ±`limit` of Δg (in the unit of `scale`), and label the axes."""
     for sign in (1.0, -1.0):
         axes.axhline(sign * limit, color=VERMILION, linestyle=(0, (6, 3)), linewidth=1.1)
     axes.axhspan(-limit, limit, color=GREEN, alpha=0.07, linewidth=0)
@@ -254,7 +257,7 @@ def correlations(calibration: Calibration) -> str:
 
 
 def compared_coefficients(calibration: Calibration, compared: Calibration) -> str:
-    """Return a plot of the coefficients by `compared` minus those by `calibration`, with bars of k = 2 on both."""
+    """Return a plot of the coefficients of `compared` minus those of `calibration`, both with bars U (k = 2)."""
     difference = compared.block.vector - calibration.block.vector
     scale = scale_for(float(np.max(np.abs(difference) + 2.0 * compared.u)), calibration.unit)
 
@@ -283,7 +286,7 @@ def compared_coefficients(calibration: Calibration, compared: Calibration) -> st
 
 
 def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
-    """Return each mounting of the fitted readings, with a mask (n,) of its readings."""
+    """Return each mounting of the n fitted readings, with a mask (n,) that selects its readings."""
     conditions = calibration.fitted.conditions()
     return [(mount, conditions.mount == index) for index, mount in enumerate(conditions.mounts)]
 
@@ -291,8 +294,8 @@ def mounts_of(calibration: Calibration) -> list[tuple[Mounting, Mask]]:
 def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Floats:
     """Return the standard deviation (m, 3) of a single reading at head angles (m,), in the signal's unit.
 
-    The standard deviation combines the reading noise with the setting error times the slope du/dphi. The slope is
-    that of a sine and a cosine of the angle, fitted to the readings `rows` of one mounting.
+    It combines, in quadrature, the reading noise and the setting error times the slope du/dphi of the signal. The
+    slope comes from a sine and a cosine of the angle, fitted to the predicted signals `rows` of one mounting.
     """
     angle = calibration.fitted.angle_rad[rows]
     predicted = calibration.fitted.signal[rows] - calibration.residuals[rows]
@@ -304,7 +307,7 @@ def sd_of_reading(calibration: Calibration, rows: Mask, angle_rad: Floats) -> Fl
 
 
 def residual_scale(calibration: Calibration) -> Scale:
-    """Return the scale (prefix of the unit) for residuals, shared by the figures and the table of readings."""
+    """Return the prefix of the unit that the figures of residuals and the table of readings share."""
     return scale_for(float(np.max(np.abs(calibration.residuals))), calibration.unit)
 
 
@@ -319,7 +322,7 @@ def symbol(name: str) -> str:
 
 
 def dodged_deg(calibration: Calibration) -> Floats:
-    """Return head angles (n,) in degrees, shifted slightly for each pass so that passes lie side by side."""
+    """Return the head angles (n,) in degrees, shifted a little from pass to pass so that no points overlap."""
     number = calibration.fitted.pass_number
     middle = (number.min() + number.max()) / 2.0
     spread = max(float(np.ptp(number)), 1.0) / 2.0
@@ -335,7 +338,7 @@ def residual_points(
     scale: Scale,
     name: str = "readings",
 ) -> None:
-    """Draw a channel's residuals (n,) in the rows of a mounting against `along` (n,); `name` makes ids unique."""
+    """Draw a channel's residuals in one mounting (mask `rows`) against `along` (n,); `name` makes ids unique."""
     fitted = calibration.fitted
     for number in np.unique(fitted.pass_number[rows]):
         for direction, marker in MARKERS.items():
@@ -351,7 +354,7 @@ def residual_points(
 
 
 def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
-    """Return handles and labels of the legend entries of several axes, each label once."""
+    """Return handles and labels for one legend of several axes, each label once."""
     entries = {
         label: handle
         for axes in grid
@@ -361,7 +364,7 @@ def legend_of(grid: Iterator[Axes]) -> tuple[list[Any], list[str]]:
 
 
 def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str = "installation ") -> None:
-    """Mark each change of mounting at its place in `along` (n,): a line, with `word` and the mounting above it."""
+    """Draw a line at each change of mounting along `along` (n,); above it, write `word` and the new mounting."""
     conditions = calibration.fitted.conditions()
     starts = [0, *(np.flatnonzero(np.diff(conditions.mount)) + 1)]
     for start in starts:
@@ -385,7 +388,7 @@ def point_labels(points: Sequence[VerificationPoint] | Sequence[ModulusPoint]) -
 
 @contextmanager
 def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]) -> Iterator[Figure]:
-    """Draw a figure, and yield it while the page style is active; `name` makes its identifiers reproducible."""
+    """Draw a figure and yield it in a context with the page's style; `name` makes its identifiers reproducible."""
     # imported here because importing matplotlib takes longer than most commands
     from matplotlib import style
     from matplotlib.figure import Figure
@@ -398,7 +401,7 @@ def drawn(name: str, inches: tuple[float, float], draw: Callable[[Figure], None]
 
 
 def translate_texts(figure: Figure) -> None:
-    """Put a figure into the current language: its texts, and the decimal sign on its axes."""
+    """Translate the texts of a figure into the current language, and use its decimal sign on the axes."""
     if language() == ENGLISH:
         return
     from matplotlib.text import Text

@@ -136,7 +136,7 @@ def _micro(of: Estimate) -> str:
 
 
 def repeats_line(found: RecordCalibration) -> str:
-    """Return a sentence on the scatter between parts of the record; "" for a short record."""
+    """Return a sentence on how values from parts of the record scatter; "" if the record is too short."""
     if found.repeats is None:
         return ""
     term = found.repeats.term
@@ -154,7 +154,7 @@ def repeats_line(found: RecordCalibration) -> str:
 
 
 def lines_of(found: RecordCalibration) -> list[str]:
-    """Return the result line by line."""
+    """Return lines on each channel, what is not determined, the scatter of repeats, and why there is no verdict."""
     told = [*channel_lines(found), *found.not_observable]
     return [*told, *filter(None, [repeats_line(found)]), NO_VERDICT]
 
@@ -181,7 +181,7 @@ def render_record_calibration(
     *,
     simulated: bool,
 ) -> str:
-    """Return the report; `noise` is the stability of the residuals, or a sentence on why it is missing."""
+    """Return the HTML report; `noise` is the stability of the residuals, or a sentence on why it is missing."""
     fits = [
         (one.channel, found.known_v[:, i] + one.residual_v, one.residual_v)
         for i, one in enumerate(found.channels)

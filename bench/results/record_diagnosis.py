@@ -99,7 +99,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return how far the gap (misfit of held-out excursions) closes; "" if nothing was held out."""
+    """Return the misfit of held-out excursions without and with the effects found; "" if none were held out."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -111,7 +111,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return in words which kind of response predicts the excursions best; "" if there is only one kind."""
+    """Return in words which rival response predicts held-out excursions best; "" if there are no rivals."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
@@ -170,9 +170,9 @@ def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
 
 
 def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]]) -> str:
-    """Return a plot of signal minus reference over time, in h.
+    """Return a plot of the residuals of signal minus reference against `time_h` (n,), in h.
 
-    `courses` has for each channel its name, and the difference (n,) in V without and with the effects found.
+    `courses` has for each channel its name, and its residuals (n,) in V without and with the effects found.
     """
     scale = scale_for(max(float(abs(before).max()) for _, before, _ in courses), "V")
 

@@ -71,7 +71,7 @@ class RunsResult(ResultModel):
     runs: list[RunPart]
 
     def print_on(self, folder: Path, out: Console) -> None:
-        """Print a line of 80 characters for each run, then any damage, and the command to resume the run."""
+        """Print a line (80 characters) for each run; below it, any damage and the command that resumes the run."""
         if not self.runs:
             out.print(f"{folder}: no runs there; name their folder with --runs")
             return

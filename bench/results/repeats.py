@@ -60,7 +60,10 @@ def repeats_part(found: Repeats) -> RepeatsPart:
 
 
 def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
-    """Return a sentence on the repeats `where`; `sizes` are those of the term added to u, in words."""
+    """Return a sentence that compares the scatter of repeats with their u.
+
+    `where` says which repeats, such as "between records". `sizes` states the term added to u in words, by channel.
+    """
     text = f"repeats {where} scatter {found.scatter:.2g} × u"
     if found.term is None or found.held_before is None or found.held_after is None:
         return text + ("; too few to leave one out" if found.held_before is None else ": u is honest")
@@ -122,6 +125,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return in words how zeros scatter between records, and the term by which u must be widened."""
+    """Return a sentence on how zeros scatter between records, and on the term that must be added to their u."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

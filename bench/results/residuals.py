@@ -46,7 +46,7 @@ class ResidualsPart(ResultModel):
 
 
 def fitted_readings(calibration: Calibration) -> list[dict[str, Any]]:
-    """Return the members of a `ReadingPart` for each fitted reading, in order."""
+    """Return the members of a `ReadingPart` for each fitted reading, in the order of the table."""
     fitted = calibration.fitted
     u = np.zeros((len(fitted), 3))
     for _, rows in mounts_of(calibration):

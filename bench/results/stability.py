@@ -117,7 +117,7 @@ def _channel(found: Stability, i: int) -> ChannelPart:
 
 
 def print_stability(found: Stability, out: Console) -> None:
-    """Print the noise terms and averaging time of each channel, and the recommended reading."""
+    """Print noise terms and averaging time of each channel, and the recommended settings of a reading."""
     record = found.record
     out.print(
         f"Static record {record.source}: {len(record.signal)} samples of {record.interval_s:.4g} s, "

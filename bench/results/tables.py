@@ -79,10 +79,10 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 
 
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
-    """Return the rows of scale factors, cross-axis terms and biases, each with the title of the group.
+    """Return the title and the rows of each group: scale factors, cross-axis terms and biases.
 
-    Cells: value and its unit; u from the readings alone, u and U with their unit; the value in other terms, such
-    as an angle, and its unit.
+    The cells of a row are: value, its unit; u from the readings alone, u, U, the unit of these three; the value as
+    another quantity, such as an angle, and its unit.
     """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)
@@ -145,14 +145,14 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 
 def nine(own: Intrinsic) -> list[Row]:
-    """Return a row for each intrinsic number: value, unit; u from the readings, u, U, their unit."""
+    """Return a row for each intrinsic number: value, its unit, u from the readings, u, U, unit of these three."""
     from bench.results.intrinsic import shown_rows  # only the report needs it
 
     return [Row(symbol(name), *cells) for name, *cells in shown_rows(own)]
 
 
 def strongest_correlations(calibration: Calibration) -> list[tuple[Markup, Markup, str]]:
-    """Return the five pairs of coefficients with the largest correlations, as names and text."""
+    """Return the five pairs of coefficients with the largest |r|: both names, and r as text."""
     r = correlation_of(calibration.covariance)
     pairs = sorted(
         ((i, j) for i in range(12) for j in range(i)), key=lambda pair: (-abs(r[pair]), pair[1], pair[0])
@@ -164,7 +164,7 @@ def strongest_correlations(calibration: Calibration) -> list[tuple[Markup, Marku
 
 
 def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
-    """Return a row for each coefficient: its estimates by two estimators, and their difference."""
+    """Return a row for each coefficient: both estimates, their unit, their difference, and its unit."""
     difference = compared.block.vector - calibration.block.vector
     scale = scale_for(float(np.max(np.abs(difference))), calibration.unit)
     shown = [
@@ -191,7 +191,7 @@ def comparison(calibration: Calibration, compared: Calibration) -> list[Row]:
 
 
 def stand(calibration: Calibration) -> list[Row]:
-    """Return a row for each stand angle: meaning, estimate, u, estimate divided by u, and a remark."""
+    """Return a row for each stand angle: its meaning as heading, estimate, u, estimate/u, and a remark."""
     estimates = list(calibration.stand.values())
     pulls = [e.value / e.u if e.u > 0 else float("nan") for e in estimates]
     columns = (
@@ -265,7 +265,7 @@ def verification(result: Verification) -> list[Row]:
 
 
 def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
-    """Return the unit and a row for each free position in the fit, with |a| - 1 g; None if there was none."""
+    """Return the unit of |a| - 1 g and a row for each free position in the fit; None without free positions."""
     of = calibration.free
     if of is None:
         return None
@@ -284,7 +284,7 @@ def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
 
 
 def outliers(calibration: Calibration) -> list[Row]:
-    """Return a row for each outlier: reading, place, channel, size, unit, size in u, weight."""
+    """Return a row for each outlier: reading, place, channel, error, its unit, error/u, weight in the fit."""
     return [
         Row(
             str(o.row),
@@ -331,7 +331,10 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return the table of error sources that readings do not show, and u of gravity; empty without any."""
+    """Return rows and units of the table of error sources that readings do not show, and u of gravity.
+
+    The dict is empty if there are no such sources.
+    """
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)
@@ -348,7 +351,7 @@ def sources(calibration: Calibration) -> dict[str, Any]:
 
 
 def noise(calibration: Calibration) -> dict[str, str]:
-    """Return as text the sizes of noise, each with its origin, and the root mean square of the residuals."""
+    """Return texts on the noise by name: standard deviations, their limits and source, and rms of the residuals."""
     of = calibration.noise
     limits = ""
     if of.setting_limits_rad is not None:
@@ -371,7 +374,7 @@ def noise(calibration: Calibration) -> dict[str, str]:
 
 
 def page(name: str, **content: Any) -> str:
-    """Return a rendered template: content escaped, control characters visible. A missing name is an error."""
+    """Render a template: content is escaped, control characters are shown, a missing variable is an error."""
     return visible(_templates(language()).get_template(name).render(**content))
 
 

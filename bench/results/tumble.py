@@ -111,7 +111,7 @@ class TumbleResult(ResultModel):
 
 
 def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
-    """Return the result of a tumble; `made_from` holds the member `source` and all members after it."""
+    """Return the result of a tumble; `made_from` holds the members of `TumbleResult` from `source` on."""
     return TumbleResult.from_object(
         view,
         k=K,

@@ -114,7 +114,7 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The failed checks, except those that report a change: a person may still accept it."""
+        """The failed checks, without those that report a change, which a person may still accept."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property
@@ -136,7 +136,7 @@ class ValidationResult(ResultModel):
         return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
 
     def print_on(self, out: Console) -> None:
-        """Print each failed check with its place, the number of checks by family, and the outcome."""
+        """Print the number of passed checks by family, the checks that failed or changed, and the outcome."""
         for family, rows in families(self.checks):
             good = sum(row.passed for row in rows)
             out.print(f"{family}: {good} of {len(rows)} passed")
@@ -178,7 +178,7 @@ def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[Validati
 
 
 def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return the description of each check function with its rows, in order."""
+    """Return what each check function did, in words, with the function's `rows`, in order."""
     return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
 
 

@@ -106,7 +106,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return those members of `VerdictPart` that are not attributes of a verification."""
+    """Return the members of `VerdictPart` that `Verification` has under another name or must compute."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -119,7 +119,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return the result of a verification; `made_from` holds the member `notes` and all members after it."""
+    """Return the result of a verification; `made_from` holds the members of `VerifyResult` from `notes` on."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 
@@ -176,7 +176,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words and, for a conditional pass, whether the decision rule accepts it."""
+    """Return the verdict in a few words; for a conditional pass, they say if the decision rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:
@@ -224,7 +224,7 @@ def optional_probability(p: float | None) -> str:
 
 
 def risk_in_words(result: Verification) -> str:
-    """Return the specific risk of the decision overall and at the worst point; "" without a decision."""
+    """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
         both = of_all if of_all == worst else message(f"{of_all} ({worst} at the worst point)")
@@ -237,14 +237,14 @@ def risk_in_words(result: Verification) -> str:
 
 
 def verdict_line(name: str, result: Verification) -> str:
-    """Return the verdict on a source called `name` in one line."""
+    """Return the verdict on the source `name` in one line: outcome, basis, and number of missing points."""
     count = result.missing
     missing = f"{count} verification point{' is' if count == 1 else 's are'} missing" if count else ""
     return ", ".join(filter(None, (outcome_in_words(name, result), basis_in_words(result), missing)))
 
 
 def outcome_in_words(name: str, result: Verification) -> str:
-    """Return the verdict on a source called `name`, with its worst point and the limit."""
+    """Return the verdict on the source `name`, with the largest |Δg|, its U, and the limit."""
     worst = result.worst
     return (
         f"{name}: {headline(result, upper=True)}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "

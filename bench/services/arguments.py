@@ -125,9 +125,10 @@ def kinds_of(request: type) -> dict[str, Kind]:
 
 
 def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """Return a decorator that raises `Refused` for an `OSError`, and for an argument of another kind.
+    """Return a decorator that checks a function's arguments; `kinds` are their accepted kinds, by name.
 
-    Messages of foreseen errors name arguments of Python in place of options. None is accepted if it is the default.
+    The decorated function raises `Refused` for an argument of another kind and in place of an `OSError`. It
+    accepts None where None is the default. Messages of foreseen errors name Python arguments, not options.
     """
 
     def decorated(function: Callable[P, R]) -> Callable[P, R]:
@@ -159,10 +160,10 @@ def checked(**kinds: Kind) -> Callable[[Callable[P, R]], Callable[P, R]]:
 
 
 def python_call(request: Callable[P, Asked], act: Callable[[Asked], R], name: str = "") -> Callable[P, R]:
-    """Return the public Python function for a request class: the fields are its parameters.
+    """Return a public function that makes a `request` of its arguments, and returns `act(request)`.
 
-    The docstring of the function is that of `act`. `name` is its name, by default that of `act` without
-    underscores.
+    Its parameters are the fields of the request class, its docstring is that of `act`. Its name is `name`, by
+    default the name of `act` without leading underscores.
     """
 
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

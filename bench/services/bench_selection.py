@@ -60,9 +60,9 @@ class BenchOrigin(_Part):
 class Origin(_Part):
     """The origin of readings: their run, block, bench file and instruments.
 
-    `unit_under_test` is None, and `procedure` empty, if nobody stated it. `serials` are the serial numbers
-    that the instruments reported; runs that are real, or on a bench with certificates, keep them. `mended`
-    are the mistakes that were corrected, if the readings are a corrected copy.
+    `unit_under_test` is None if the block was not stated, `procedure` is "" if there was none. `serials` are the
+    serial numbers that the instruments reported; simulated runs record them only for a bench with certificates.
+    If the readings are a corrected copy, `mended` lists the mistakes that were corrected.
     """
 
     simulated: bool
@@ -79,7 +79,7 @@ class Origin(_Part):
     mended: tuple[_Text, ...] = ()
 
     def text_beside(self, readings: Path, content: bytes) -> str:
-        """Return the text of the origin file that is written beside a readings file with this `content`."""
+        """Return the text of the origin file for the readings file at path `readings` with this `content`."""
         empty = {name for name in ("serials", "mended") if not getattr(self, name)}
         own = self.model_dump(mode="json", exclude={"sha256", *empty})
         try:
@@ -93,8 +93,8 @@ class Origin(_Part):
     def bench_file(self, readings: Path) -> Path | None:
         """Return the path of an unchanged copy of the run's bench file; None if none is found.
 
-        The search covers the copy in the run's folder, by its path and relative to the readings file (in case both
-        were moved), and the original file.
+        The search covers the copy in the run's folder and then the original file. The copy is looked for at its
+        recorded path and, in case it was moved with the readings, at its path relative to `readings`.
         """
         places = [self.bench.copied_to, self.bench.copied_to_from_here, self.bench.file]
         for path in (readings.parent / place for place in places if place):
@@ -104,7 +104,7 @@ class Origin(_Part):
 
 
 def instrument_name(identity: str, serial: str, resource: str | None, bench: str) -> str:
-    """Return the name of an instrument: model and serial number, or else identity, address and bench."""
+    """Return model and serial number of an instrument; without a serial number, identity, address and bench."""
     serial = serial.strip()
     if serial in NO_SERIAL:
         place = f" at {resource}" if resource else ""
@@ -114,14 +114,14 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 @dataclass(frozen=True)
 class OriginBeside:
-    """The content of a readings file's origin file (None if missing or not trusted), and notes for the reader."""
+    """The origin of readings (None if its file is missing or does not match them), and notes for the reader."""
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
 
 
 def origin_of_run(run: Run) -> OriginBeside:
-    """Return the origin of a run's readings; for an imported run, the origin in the imported file."""
+    """Return the origin of a run's readings; for an imported run, from any origin file imported with it."""
     if run.imported:
         told = origin_beside(run.folder / IMPORTED)
         if told.origin is not None or told.notes:
@@ -151,7 +151,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the content of a readings file's origin file, which must state the SHA-256 of these readings."""
+    """Return the origin in a readings file's origin file, unless that file has the SHA-256 of other readings."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():
@@ -173,7 +173,7 @@ def origin_beside(readings: Path) -> OriginBeside:
 
 
 def is_told(file: Path) -> bool:
-    """Return whether a file is an origin file, of whatever readings file."""
+    """Return whether `file` is an origin file (of any readings)."""
     try:
         _About.model_validate_json(_read(file) or b"")
     except ValidationError:
@@ -218,7 +218,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file of an analysis; `why` is the reason for the choice, `chosen` the reason at the run's start."""
+    """The bench file of an analysis; `why` it was chosen now, and why it was `chosen` when the run began."""
 
     file: BenchFile
     where: str
@@ -228,12 +228,12 @@ class BenchTaken:
 
     @property
     def stated(self) -> bool:
-        """Whether somebody named this bench file for these readings; if not, it is the shipped one."""
+        """Whether the user or the record named this bench file; otherwise it is the shipped default."""
         return self.why != _NONE_NAMED
 
     @property
     def learned_path(self) -> Path | None:
-        """Path of the learned file named in the bench file, or of the run's copy; None if none is named."""
+        """Path of the learned file that the bench file names, or of the run's copy; None if it names none."""
         if self.file.learned is None:
             return None
         own = Path(self.where)
@@ -274,7 +274,7 @@ def why_taken(given: str | Path | BenchFile | None) -> str:
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file `given` (content, path, name), else that in BENCH_FILE, else the shipped one."""
+    """Return the bench file `given` (as content, path or name), else that in BENCH_FILE, else the shipped one."""
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
@@ -284,7 +284,7 @@ def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchT
 
 
 def bench_for_record(file: BenchFile, path: Path) -> dict[str, bytes]:
-    """Return the files that a run keeps, by name: bench file and learned file. Raises `FileMistakes`."""
+    """Return the files to copy into a run, by name: bench file and any learned file. Raises `FileMistakes`."""
     taken = BenchTaken(file, str(path), "", "")
     kept = {BENCH: read_regular(path)}
     if taken.learned() is not None and taken.learned_path is not None:
@@ -302,9 +302,9 @@ def bench_of(
 ) -> tuple[BenchTaken, tuple[str, ...]]:
     """Return the bench file to use for readings, and notes.
 
-    For a run, it is the requested file, else the one that the run recorded. Without a run, it is the first that
-    exists of the requested file, the file in BENCH_FILE, the file that the origin file (`told`) names, and the
-    shipped file.
+    A run uses the requested file (`given`), else the one that it recorded. Other readings use the requested
+    file, else the file in BENCH_FILE, else the file that their origin (`told`) names, else the shipped file. A
+    file that the origin names is not used if it was moved or changed.
     """
     if run is not None:
         return _of_run(run, given)
@@ -340,9 +340,9 @@ def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken,
 
 
 def own_bench(run: Run) -> tuple[BenchFile, Path]:
-    """Return the bench file that a run recorded, and the path from which its references start.
+    """Return the bench file that a run recorded, and the path to which its relative paths refer.
 
-    That is the path of the original file if it still exists, else that of the run's copy.
+    This is the path of the original file if it still exists, otherwise the path of the run's copy.
     """
     stated = Path(str(run.manifest.get("bench", "")))
     return load_recorded_bench(run.folder / BENCH), stated if stated.is_file() else run.folder / BENCH

@@ -32,9 +32,9 @@ TOGETHER: Final = "diagnose-together"
 class Body:
     """Readings that are diagnosed together: the `sources`, and all of them joined as one `source`.
 
-    `nominal` (blocks, 3) are scale factors from data sheets; None if all blocks are of one kind. If all readings
-    are free positions, each source keeps a separate table; `one_block` then says whether one sensor made all of
-    them.
+    `nominal` (blocks, 3) are the data-sheet scale factors of each block; None if the blocks were not told apart.
+    Free positions alone are not joined: `source` is then the first source, and `one_block` says whether one
+    sensor made all readings (None: unknown).
     """
 
     sources: tuple[Source, ...]
@@ -48,7 +48,7 @@ class Body:
         return tuple(data_sha256(source.as_read) for source in self.sources)
 
     def output(self, suffix: str, number: int | None = None) -> Path:
-        """Return the path of an output file for the body or, with `number`, for the source of that number."""
+        """Return the path of an output file that ends with `suffix`, for the body or for its source `number`."""
         if len(self.sources) == 1:
             return self.source.output("diagnose", suffix)
         place = place_together(self.sources) if number is None else self.sources[number]
@@ -71,7 +71,8 @@ def single_bodies(request: Diagnose) -> list[Body | Failed]:
 def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
     """Return the sources as one body: of one block (`one_block` True), or each of a different block (False).
 
-    If `one_block` is None, the names of the blocks decide; without names, the diagnosis decides from the readings.
+    If `one_block` is None, the recorded names and nominal scale factors tell blocks apart. If these do not
+    differ, the diagnosis decides from the readings.
     Raises `Refused` if the sources were measured on different benches.
     """
     first = sources[0]
@@ -101,7 +102,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
 
 
 def place_together(sources: Sequence[Source]) -> Source:
-    """Return the first source under a name that stands for all `sources`; output files take that name."""
+    """Return the first source, renamed so that the names of output files stand for all `sources`."""
     first = sources[0]
     if len(sources) == 1:
         return first
@@ -168,7 +169,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Return a source's readings, corrected for mistakes that the early warning found, and these mistakes."""
+    """Correct a source's readings for mistakes that the early warning found; return readings and mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()
@@ -186,7 +187,7 @@ def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
 
 
 def told_in_words(run: Run) -> list[str]:
-    """Return sentences on the mistakes that the early warning found in a run, and on warnings overruled.
+    """Return sentences on the early warnings of a run: their causes, and the warnings that a person overruled.
 
     Warnings whose readings were repeated are only counted.
     """

@@ -37,7 +37,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class BodyResult(ABC):
-    """The result of diagnosing a body: findings, files written, and which files could not be written, and why."""
+    """The result of diagnosing a body: findings, files written, and notes on files that could not be written."""
 
     body: Body
     found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
@@ -51,12 +51,12 @@ class BodyResult(ABC):
 
     @property
     def verdict(self) -> str:
-        """The verdict: agrees, mistake, named, confounded or unknown."""
+        """The verdict: "mistake"; subclasses may return "agrees", "named", "confounded" or "unknown"."""
         return "mistake"
 
     @property
     def bench(self) -> str:
-        """The name of the bench file used for the errors of the stand and gravity, with the reason for it."""
+        """The name of the bench file that states gravity and the errors of the stand, and why it was chosen."""
         return self.source.taken.words
 
     @property
@@ -76,8 +76,8 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, a tie is written as its likeliest effect. A file that cannot be written is noted in
-        `not_written`; if an output folder was requested, `OSError` is raised instead.
+        With `accept_first`, the model file of a tie contains its likeliest effect. `not_written` notes each file
+        that cannot be written; if an output folder was requested, `OSError` is raised instead.
         """
 
     def __repr__(self) -> str:
@@ -85,7 +85,10 @@ class BodyResult(ABC):
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
     def tried(self, what: str, write: Callable[[], T]) -> tuple[T | None, Self]:
-        """Return the value of `write` and this result; if `what` cannot be written, None and a result saying so."""
+        """Call `write`; return its value and this result or, after an `OSError`, None and a result that notes it.
+
+        `what` is the name of the file in the note. If an output folder was requested, `OSError` is raised.
+        """
         try:
             return write(), self
         except OSError as error:
@@ -95,7 +98,7 @@ class BodyResult(ABC):
             return None, replace(self, not_written=(*self.not_written, note))
 
     def with_copy(self, mistakes: Sequence[Mistake], corrected: Readings) -> Self:
-        """If there are `mistakes`, write the `corrected` readings; return the result with the path."""
+        """Write the `corrected` readings if there are `mistakes`; return the result with the path of that file."""
         if not mistakes:
             return self
         place = self.body.output("-corrected.csv")
@@ -137,7 +140,7 @@ def write_content(path: Path, content: str) -> Path:
 
 
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write the corrected readings as the instruments showed them, with an origin file; return the path."""
+    """Write readings free of mistakes but without instrument corrections, and any origin file; return the path."""
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
     write_content(path, content)

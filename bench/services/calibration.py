@@ -78,10 +78,10 @@ def read_prior(path: Path) -> Prior:
 def with_prior(
     found: Calibration, source: Source, path: Path
 ) -> tuple[Calibration, PriorPart, tuple[str, ...]]:
-    """Return three things: the calibration combined with the prior, the result's part on the prior, and notes.
+    """Combine a calibration with the prior file `path`; return the calibration, the part on the prior, and notes.
 
-    The prior is that for units of the source's type. If readings and prior contradict each other, the calibration
-    is returned unchanged, with a note. Raises `Refused` for a prior that does not apply to these readings.
+    If readings and prior contradict each other, the calibration is returned unchanged, with a note. Raises
+    `Refused` for a prior that does not apply to these readings, such as that of another type of unit.
     """
     from bench.history.prior import CONFLICT_P, join
 
@@ -162,9 +162,9 @@ def _refuse_other(prior: Prior, found: Calibration, source: Source, path: Path) 
 class Coefficient:
     """A coefficient in `unit` (such as V/g; V for a bias) with its combined standard uncertainty `u`.
 
-    `u_readings` is the part of u from the readings and the stated limits of the stand. Both are NaN for a
-    coefficient that is zero by convention, as free positions alone do not determine it. `dof` are the effective
-    degrees of freedom of u. u is already widened for a small `dof`, so that `U` is always `k` u.
+    `u_readings` is the part of u from the readings and the stated limits of the stand. `u` and `u_readings` are
+    NaN for a coefficient that free positions alone do not determine and that is therefore zero by convention.
+    `dof` are the effective degrees of freedom of u. u is already widened for a small `dof`: `U` is always `k` u.
     """
 
     value: float
@@ -185,8 +185,8 @@ class CalibrationResult:
     """The twelve coefficients of U = K a + U0 with their covariance, and the data behind them.
 
     a is the specific force in local g (+1 g on an axis that points upward). `calibration` is the complete
-    estimate, `source` the readings with bench and model. `prior` describes the prior file (None if none was
-    given); `of_prior` are notes on that file.
+    estimate, `source` the readings with bench and model. `prior` is the result's part on the prior file, None
+    without one; `of_prior` are notes on that file.
     """
 
     source: Source
@@ -248,7 +248,7 @@ class CalibrationResult:
 
     @property
     def bench(self) -> str:
-        """The name of the bench file used for errors of the stand and gravity, with the reason for it."""
+        """The name of the bench file that states gravity and the errors of the stand, and why it was chosen."""
         return self.source.taken.words
 
     @property
@@ -258,7 +258,7 @@ class CalibrationResult:
 
     @cached_property
     def doubts(self) -> tuple[str, ...]:
-        """Warnings, a sentence each, on scale factors that contradict the block's nominal ones."""
+        """Warnings, a sentence each, on scale factors that contradict the block's nominal scale factors."""
         return implausible(self.calibration, self.source.bench.unit_under_test.scale_factors.values)
 
     @property
@@ -274,12 +274,12 @@ class CalibrationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether the lack-of-fit test does not reject the model (p at least 1e-4)."""
+        """Whether p of the lack-of-fit test is at least 1e-4, or the residuals are mere rounding."""
         return self.calibration.lack_of_fit.accepted()
 
     @property
     def strictly_accepted(self) -> bool:
-        """Whether p of the lack-of-fit test is at least 0.01 and there are no `doubts`."""
+        """As `accepted`, but p must be at least 0.01 and there must be no `doubts`."""
         return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:
@@ -321,8 +321,8 @@ class CalibrationResult:
 
         `form` is "json", "csv", "c", "excel", "kalibr", "px4" or "ardupilot". The last three are for signals
         in m/s^2; `nominal` are the scale factors (unit/g) by which the signals were converted. No form can
-        hold a correction for temperature; a calibration with one is written only if `without_temperature` is
-        true. Raises `Refused` for any other form, and `RecordError`.
+        hold a correction for temperature: a calibration with such a correction is written only if
+        `without_temperature` is true. Raises `Refused` for any other form, and `RecordError`.
         """
         from bench.services.coefficients import write_form
 
@@ -389,7 +389,7 @@ def calibration_of(
 
 
 def result_of(source: Source) -> CalibrationResult | RecordCalibrationResult:
-    """Return the calibration of a block, or of meters at a known input. Raises as `calibration_of`."""
+    """Calibrate a block or, for a record at a known input, its meters. Raises as `calibration_of`."""
     if not is_record(source.readings):
         return calibration_of(source)
     from bench.services.record_calibration import record_calibration_of  # takes long to import
@@ -439,8 +439,8 @@ def verification_of(
 ) -> VerificationResult:
     """Verify a source with coefficients from a file, from a calibration, or (None) from these same readings.
 
-    The options `asked` replace those of run and bench file; `agreed` is the decision rule if none of these names a
-    rule.
+    The options `asked` replace those of run and bench file. The decision rule is `agreed` if neither options, run
+    nor bench file name one.
     """
     from bench.services.verification import judged, own_judgement, unsuitable  # takes long to import
 
@@ -479,7 +479,7 @@ def report_page(
 ) -> tuple[str, VerificationResult | None]:
     """Return the report as HTML, and the verification in it. Raises `Refused`.
 
-    The verification is None without verification points, and if these joined the fit.
+    The verification is None if there are no verification points, or if they joined the fit.
     """
     if not isinstance(result, CalibrationResult):
         from bench.services.verification import NOTHING_ASKED

@@ -31,7 +31,7 @@ _LOCK: Final = ".register.lock"
 
 @dataclass(frozen=True)
 class Entry:
-    """A line of a register: event, number, time (ISO 8601), authorising person, and other details."""
+    """A line of a register: `kind` of event, number, time (ISO 8601), authorising person, and other `data`."""
 
     kind: str
     number: str
@@ -52,9 +52,10 @@ def civil_now() -> str:
 
 @dataclass
 class Chain:
-    """A register in `folder`, locked against other writers; `head` is the hash of the last of `count` lines read.
+    """A register in `folder`, as far as it was read: `count` lines, `length` bytes; `head` hashes the last line.
 
-    `length` is the number of bytes read. `KIND` is also the name of the folder beside a laboratory file.
+    `KIND` is the kind of register, and the name of its folder beside a laboratory file. `opened` locks a register
+    against other writers.
     """
 
     KIND: ClassVar[str]
@@ -65,7 +66,7 @@ class Chain:
     count: int = 0
 
     def __post_init__(self) -> None:
-        """Set `head`, unless it is given, to the hash that precedes the first line."""
+        """Set a missing `head` to the hash that the first line of the register must contain as the previous one."""
         self.head = self.head or hashlib.sha256(f"triaxial-bench {self.KIND} 1\n".encode()).hexdigest()
 
     @classmethod
@@ -78,7 +79,7 @@ class Chain:
         raise NotImplementedError
 
     def keep(self, content: bytes) -> str:
-        """Store an input (such as a laboratory file) of an entry under its SHA-256; return the SHA-256."""
+        """Store `content`, on which an entry is based, under its SHA-256; return the SHA-256."""
         digest = hashlib.sha256(content).hexdigest()
         place = self.folder / MADE_FROM / digest
         if not place.is_file():
@@ -87,7 +88,7 @@ class Chain:
         return digest
 
     def kept(self, digest: str) -> bytes:
-        """Return the input with the SHA-256 `digest`. Raises `Refused` if it is missing or changed."""
+        """Return the stored content with SHA-256 `digest`. Raises `Refused` if it is missing or was changed."""
         file = self.folder / MADE_FROM / digest
         with refusing("restore it from a copy, or check its permissions", file, verb="read"):
             content = read_regular(file)
@@ -117,11 +118,11 @@ class Chain:
         self._take(line)
 
     def catch_up(self) -> None:
-        """Read the lines that were added since the last call. Raises `Refused` for a changed line."""
+        """Read the lines that were added since the last reading. Raises `Refused` for a damaged register."""
         self.read_lines()
 
     def read_lines(self) -> Self:
-        """Read the lines added since the last call; change no file. Raises `Refused` for a damaged register."""
+        """Read the lines added since the last reading; change no file. Raises `Refused` for a damaged register."""
         path = self.folder / LINES
         with refusing("check name and permissions", self.folder, verb="read"):
             if (path.stat().st_size if path.exists() else 0) < self.length:

@@ -46,10 +46,10 @@ FORMAT: Final = 1
 class CheckValues:
     """A calibration of the check block as the control chart uses it: coefficients in `unit` per local g.
 
-    `value` (12,) are the coefficients. `readings` (12, 12) is the covariance from readings and stand, `noise`
-    (12,) the part from reading noise. `sources` are the covariances (12, 12) of the errors that no reading
-    shows, by name. `meters_limits` (12, 12) is the covariance of those meter errors that cancel if the same
-    meters are used again. `s` is the noise of a reading, with `s_dof` degrees of freedom.
+    `value` (12,) are the coefficients. `readings` (12, 12) is their covariance from readings and stand, `noise`
+    (12,) their standard uncertainty from reading noise alone. `sources` has, by name, the covariance (12, 12) from
+    each error that no reading shows. `meters_limits` (12, 12) is the covariance from the meter errors that cancel
+    if the same meters are used again. `s` is the standard deviation of a reading, `s_dof` its degrees of freedom.
     """
 
     name: str
@@ -69,7 +69,7 @@ class CheckValues:
     s_dof: float
 
     def per(self, g_m_s2: float) -> CheckValues:
-        """Return the values with K per g of `g_m_s2` m/s² instead of the present g; biases stay the same."""
+        """Return the values with K per g of `g_m_s2` (m/s²) in place of this object's g; biases stay the same."""
         factor = to_gravity(self.g_m_s2, g_m_s2)
         both = np.outer(factor, factor)
         return replace(
@@ -83,7 +83,7 @@ class CheckValues:
         )
 
     def check_run(self, between_runs: Sequence[str]) -> CheckRun:
-        """Return a run of a control chart; errors named in `between_runs` are independent from run to run."""
+        """Return these values as a run of a control chart; errors in `between_runs` vary from run to run."""
         nothing = np.zeros_like(self.readings)
         own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
         everything = sum(self.sources.values(), nothing)
@@ -104,7 +104,7 @@ class CheckValues:
 
 
 def check_values(run: Run) -> CheckValues:
-    """Return the calibration of a run of the check block, from the cache while its record is unchanged.
+    """Return the calibration of a check-block run; it is read from a cache if the record has not changed.
 
     Raises `CalibrationError` if the readings give no calibration, `RecordError` if the record is damaged.
     """
@@ -461,8 +461,8 @@ IN_CONTROL: Final = "in control"
 class CheckBefore:
     """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing".
 
-    `sentence` states the reason. `run` is the name of the last run of the check block (empty if there is
-    none), `age_s` its age in s.
+    `sentence` states the reason. `run` is the name of the charted run that was judged, "" for "missing", and
+    `age_s` is its age in s.
     """
 
     state: str
@@ -472,11 +472,11 @@ class CheckBefore:
 
     @property
     def fine(self) -> bool:
-        """Whether the check allows a run to begin."""
+        """Whether the last check found the bench in control, and is not too old."""
         return self.state == IN_CONTROL
 
     def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return the check as recorded in a manifest, with the bench file's `rule` and the `reason` to begin."""
+        """Return the check for a manifest, with the bench file's `rule` and the `reason` to begin despite it."""
         told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
         if self.run:
             told["run"] = self.run
@@ -487,7 +487,10 @@ class CheckBefore:
 
 
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Return the check by the last run of the check block, as of `now`. Raises `Refused` if there is no chart."""
+    """Judge a bench by the last run of its check block, as of `now`.
+
+    Raises `Refused` for a bench file without section check_block, and as `chart_of`.
+    """
     section = bench.check_block
     if section is None:
         raise Refused(f"{path}: the bench file has no section check_block; add it, or leave out the check")
@@ -536,8 +539,8 @@ def checked_before(
 ) -> tuple[str, ...]:
     """Check the bench before a run begins; note the result in the run's manifest, and return it in sentences.
 
-    `despite` is the operator's reason to begin whatever the check says. A run of the check block itself is not
-    checked. Raises `Refused` if the rule of the bench file forbids the run.
+    `despite` is the operator's reason to begin whatever the check says. Before a run of the check block itself,
+    nothing is checked. Raises `Refused` if the rule of the bench file forbids the run, and as `check_before`.
     """
     if bench.check_block is None:
         raise Refused(
@@ -556,7 +559,7 @@ def checked_before(
 
 
 def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return sentences on a check. Raises `Refused` if the rule forbids the run and `reason` is None."""
+    """Return a check in sentences. A failed one raises `Refused`, unless `rule` is "warn" or a reason is given."""
     if found.fine:
         return (f"check block: {found.sentence}",)
     if reason is not None:

@@ -47,7 +47,7 @@ class Coefficients:
 
     `simulated` says whether the instruments were simulated. `same_meters` (12, 12) is the covariance without
     the errors that cancel if the same meters read the block again; `meters` are the identities of the meters.
-    Results of earlier versions have neither. Each column of `block_terms` (12, q) is the error of the
+    Results of earlier versions lack both. Each column of `block_terms` (12, q) is the error of the
     coefficients due to one standard uncertainty of a nonlinearity K2 or K3 of the block. `wander` (3,) is the
     rms wander of each bias during a run. `block_name` is the type and serial number of the block, empty if not
     recorded. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it is unknown or if a
@@ -74,7 +74,7 @@ class Coefficients:
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
-    """Return the coefficients in a result file of `calibrate --json`. Raises `Refused`, also for another `unit`."""
+    """Return the coefficients in a file of `calibrate --json` for signals in `unit`. Raises `Refused`."""
     taken = coefficients_of(_read(path), str(path))
     if taken.unit != unit:
         raise Refused(
@@ -229,7 +229,7 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` if a result was corrected for temperature, which no form can state, unless `without`."""
+    """Raise `Refused` for a result corrected for temperature, unless `without` is true: no form can hold this."""
     for result in results:
         if result.temperature and not without:
             raise Refused(
@@ -346,11 +346,12 @@ def _number(value: Any) -> float:
 def impossible(covariance: Floats) -> str:
     """Return why a matrix (n, n) of finite numbers is no covariance; "" if it may be one.
 
-    A covariance is symmetric, with no negative variance, no correlation |r| above 1 and no negative eigenvalue,
-    within rounding. Each of its entries is computed as a sum of m products b_ik b_jk; m counts readings and items
-    of prior knowledge. An entry is then off by at most m u sqrt(c_ii c_jj), u = 2^-53 (Higham, Accuracy and
-    Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). A correlation is off
-    by at most `ROUNDING`, an eigenvalue of the n by n correlation matrix by at most n `ROUNDING` (Weyl).
+    Within rounding, a covariance is symmetric and has no negative variance, no correlation |r| above 1 and no
+    negative eigenvalue. Each entry is computed as a sum of m products b_ik b_jk; m counts readings and items of
+    prior knowledge. The rounding error of an entry is at most m u sqrt(c_ii c_jj) with u = 2^-53 (Higham, Accuracy
+    and Stability of Numerical Algorithms, 2002, section 3.1, with the Cauchy-Schwarz inequality). The error of a
+    correlation is at most `ROUNDING`; the error of an eigenvalue of the correlation matrix is at most n `ROUNDING`
+    (Weyl).
     """
     variance = np.diag(covariance)
     if np.any(variance < 0):
@@ -382,7 +383,7 @@ def is_result(path: Path) -> bool:
 
 
 def results_in(path: Path) -> list[tuple[Any, str]]:
-    """Return the results in a file of `calibrate --json`, with names. Raises `Refused` for any other file."""
+    """Return each result in a file of `calibrate --json`, with a name. Raises `Refused` for any other file."""
     data = _read(path)
     if not isinstance(data, list) or len(data) == 1:
         return [(data[0] if isinstance(data, list) else data, str(path))]
@@ -400,7 +401,7 @@ def snapshot_of(data: Any, name: str) -> Snapshot:
 
 
 def dated(taken: Coefficients, name: str, dof: float) -> Snapshot:
-    """Return coefficients as a dated calibration; `dof` is the least dof of the nine intrinsic numbers."""
+    """Return coefficients as a dated calibration; `dof` is the smallest dof of its intrinsic numbers."""
     from bench.history.comparison import Snapshot
 
     return Snapshot(
@@ -418,7 +419,7 @@ def _least_dof(data: Any) -> float:
 
 
 def date_of(text: str | None, where: str) -> datetime | None:
-    """Return an ISO 8601 date, in UTC if it names no zone; None for no text. Raises `Refused` for another text."""
+    """Return the ISO 8601 date in `text`, in UTC if it names no zone; None without text. Raises `Refused`."""
     if not text:
         return None
     try:

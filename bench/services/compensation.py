@@ -62,7 +62,7 @@ def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> Temperat
 
 @dataclass(frozen=True)
 class Compensation:
-    """Coefficients over temperature, their table and verdicts; `source` is the first of the sources `names`."""
+    """Coefficients over temperature, with table and verdicts; of the sources `names`, `source` is the first."""
 
     source: Source
     names: tuple[str, ...]
@@ -190,7 +190,7 @@ tumble = python_call(Tumble, _tumble)
 
 @dataclass(frozen=True)
 class CalibrationToWrite:
-    """A calibration to be written in other forms; files are named after `source` or, for a JSON file, `stem`."""
+    """A calibration to write in other forms; its files are named after `source` or, if that is None, `stem`."""
 
     result: BlockResult
     stem: Path

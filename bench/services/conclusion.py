@@ -44,9 +44,9 @@ _MADE: Final = ("calibrate.json", "verify.json", "report.html", "chart.json")
 class Conclusion:
     """The results of a finished run; a missing result is None.
 
-    `looks` are the remarks of the early warning; `short` states whether the run ended without reaching its goal.
-    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart; `no_chart` is empty for a
-    run that is not of the check block. `chart_unwritten` is the reason why the chart's file was not written.
+    `looks` are sentences on early warnings. `short` is true if the run ended without reaching its goals.
+    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart. Only a run of the check
+    block can have a chart or `no_chart`. `chart_unwritten` names the chart's file if it could not be written.
     """
 
     run: Run
@@ -83,7 +83,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Return the results of a finished run. Raises `Refused` after a signal; `bench resume` then makes them."""
+    """Compute and write the results of a finished run. Raises `Refused` after a signal; see `bench resume`."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
@@ -143,7 +143,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
 
 
 def charted(run: Run) -> dict[str, Any]:
-    """Return the chart of a check block's run as members of a `Conclusion`; an empty dict for any other run."""
+    """Return the control chart of a check-block run as members of a `Conclusion`; {} for any other run."""
     bench, path = own_bench(run)
     unit = run.manifest.get("unit_under_test")
     if bench.check_block is None or unit is None:
@@ -175,7 +175,10 @@ _MOST_SENTENCES: Final = 2
 
 
 def ending(found: Conclusion) -> list[str]:
-    """Return the lines at the end of a run: verdict (that on the check block first), basis, files, what to do."""
+    """Return the lines shown at the end of a run: verdicts, their basis, notes, files, and the next step.
+
+    The verdict on the check block, if any, comes before the verdict on the run.
+    """
     chart = [] if found.chart is None else [found.chart.sentence()]
     lines = [*chart, _verdict(found), *_basis(found)]
     if found.no_chart:
@@ -284,7 +287,7 @@ def _typed(file: str, kind: str) -> str:
 
 
 class Exported(NamedTuple):
-    """An exported readings file: text, number of readings, and the files written (None if not written)."""
+    """Exported readings: text, number of readings, and the paths of readings file and origin file (or None)."""
 
     text: str
     readings: int
@@ -293,7 +296,7 @@ class Exported(NamedTuple):
 
 
 def export_readings(request: asked.ExportReadings) -> Exported:
-    """Return the readings of a run as a readings file, and write it unless the file is "-". Raises `Refused`."""
+    """Return the readings of a run as CSV; write the file unless its name is "-". Raises `Refused`."""
     (source,) = load_sources(Request([request.run], runs_folder(request.runs)))
     text = format_csv(source.as_read)
     if request.csv == "-":
@@ -341,7 +344,7 @@ def preview_log(request: asked.ImportReadings) -> ConvertedLog:
 
 
 def check_preview(request: asked.ImportReadings, log: ConvertedLog) -> None:
-    """Read a converted log as an import would. Raises as `import_readings`."""
+    """Raise the errors that importing the converted `log` would raise (see `import_readings`)."""
     taken, _ = bench_of(str(request.file), None, origin_beside(request.file), request.bench)
     read_csv(request.file, taken.file.installation_models(), content=log.text.encode())
 
@@ -349,7 +352,7 @@ def check_preview(request: asked.ImportReadings, log: ConvertedLog) -> None:
 def import_readings(
     request: asked.ImportReadings, announce: Callable[[BenchTaken, Sequence[str]], None]
 ) -> Run:
-    """Create a run from readings that were measured elsewhere; `announce` receives bench file and notes first.
+    """Create a run from readings measured elsewhere; first call `announce` with the bench file and notes.
 
     Raises `Refused` for a file that cannot be read, `ReadingsError` for bad rows, `FileMistakes` for a mapping
     of columns with mistakes, `RecordError` for a name that is taken.

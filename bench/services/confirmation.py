@@ -27,7 +27,7 @@ from bench.services.source import Source, data_sha256
 
 @dataclass(frozen=True)
 class ConfirmationResult:
-    """The result of `bench confirm`; `known` are the mistakes that were corrected before the model was tested."""
+    """The result of `bench confirm`; `known` are mistakes from early warnings, corrected before the test."""
 
     source: Source
     found: Confirmation
@@ -35,7 +35,7 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The closed part of the gap in reduced chi-square: (before - after)/(before - 1); None without a gap."""
+        """The closed fraction of the gap: (before - after)/(before - 1) in reduced chi-square; None without gap."""
         return self.found.closed
 
     @property
@@ -81,7 +81,7 @@ class ConfirmationResult:
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print each effect's values in the model and in the new readings, and how far the gap closes."""
+        """Print each effect's values in the model and in the new readings, and how far the model closes the gap."""
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:
@@ -90,10 +90,10 @@ class ConfirmationResult:
 
 
 def confirmation_of(source: Source) -> ConfirmationResult:
-    """Test the model of a source on its readings; thresholds are kept in the user's cache folder.
+    """Test the model of a source on its readings; the user's cache folder keeps the thresholds of the tests.
 
-    Raises `Refused` if the model is missing, without effects, or from these same readings, `CalibrationError`
-    if the readings do not determine the coefficients or could not show the effects.
+    Raises `Refused` if the model is missing, has no effects, or was found in these same readings. Raises
+    `CalibrationError` if the readings do not determine the coefficients or could not show the effects.
     """
     path = source.request.model
     if path is None:

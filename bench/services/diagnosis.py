@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class MistakesResult(BodyResult):
-    """A diagnosis that ended with mistakes, as the readings without them do not determine coefficients."""
+    """A diagnosis that found mistakes and no more: the other readings do not determine the coefficients."""
 
     found: MistakesAlone
 
@@ -64,7 +64,7 @@ class MistakesResult(BodyResult):
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print the mistakes, and the coefficients that the readings without mistakes do not determine."""
+        """Print the mistakes, and which coefficients the other readings do not determine."""
         text.print_mistakes(self.found, self.files, out)
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -90,7 +90,7 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """The verdict: agrees, mistake, named, confounded or unknown."""
+        """The verdict: "agrees", "mistake", "named", "confounded" (a tie, or not confirmed) or "unknown"."""
         return self.diagnosis.verdict
 
     @property
@@ -124,7 +124,7 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there is a model to write: effects, unnamed terms or, if accepted, the first of a tie."""
+        """Return whether there are effects or unnamed terms to write; with `accept_first`, also those of a tie."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
@@ -199,7 +199,7 @@ class DiagnosisAlone(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """The verdict: agrees, mistake, named, confounded or unknown."""
+        """The verdict: "agrees", "mistake", "named", "confounded" (a tie, or not confirmed) or "unknown"."""
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
@@ -240,7 +240,7 @@ class DiagnosisAlone(ResultWithPage):
             self._view.print_found(self.found, self.files, out)
 
     def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
-        """Write one model file or, if sensors differ, one for each (`-sensor-1` in its name, …); return the paths.
+        """Write one model file or, if sensors differ, one for each sensor (`…-sensor-1`, …); return the paths.
 
         Raises `Refused` if there is no model to write, `FileMistakes` if a file exists.
         """
@@ -257,7 +257,7 @@ class DiagnosisAlone(ResultWithPage):
         return tuple(paths)
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without their outlying positions, by source number, of the affected sources only."""
+        """Return the readings without outlying positions of each source that has any, by source number."""
         return {}
 
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -305,7 +305,7 @@ class FreeDiagnosisResult(DiagnosisAlone):
     write_model = DiagnosisAlone.write_models
 
     def corrected(self) -> dict[int, Readings]:
-        """Return the readings without their outlying positions, by source number, of the affected sources only."""
+        """Return the readings without outlying positions of each source that has any, by source number."""
         kept = {}
         for number in np.unique(self.found.left_out[:, 0]).tolist():
             source = self.body.sources[number]
@@ -325,7 +325,7 @@ Diagnosed: TypeAlias = DiagnosisResult | DiagnosisAlone | MistakesResult
 
 
 def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None:
-    """Print each diagnosis in full; of several, each `DiagnosisResult` is only a row of a table."""
+    """Print each diagnosis in full; if there are several, print all of type `DiagnosisResult` in one table."""
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
@@ -341,7 +341,7 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
 def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagnosed | Failed]:
     """Diagnose bodies, several in parallel, and write the requested files.
 
-    Of several bodies, one that cannot be diagnosed gives a `Failed`; a single body raises its error.
+    Each of several bodies that cannot be diagnosed gives a `Failed`; a single body raises its error.
     """
     if len(bodies) == 1:
         return [diagnosed_alone(request, body) for body in done(bodies)]
@@ -351,7 +351,7 @@ def diagnosed(request: Diagnose, bodies: Sequence[Body | Failed]) -> list[Diagno
 
 
 def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Diagnosed:
-    """Diagnose a body and write the requested files; `report` decides on the page if the request does not.
+    """Diagnose a body and write the requested files; `report` decides on a page if the request leaves it open.
 
     Raises `CalibrationError` if the readings do not determine the coefficients.
     """
@@ -364,7 +364,7 @@ def diagnosed_alone(request: Diagnose, body: Body, *, report: bool = True) -> Di
 
 
 def diagnosis_of(body: Body) -> Diagnosed:
-    """Diagnose a body, corrected for mistakes that the early warning named. Raises `CalibrationError`."""
+    """Correct a body for mistakes named by the early warning, and diagnose it. Raises `CalibrationError`."""
     with knowing_effects_of(*body.sources):
         return _result(body, _found(body))
 

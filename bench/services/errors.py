@@ -42,7 +42,7 @@ class NoCheckBlock(Refused):
 
 
 def in_python(text: str, flags: Collection[str] = ()) -> str:
-    """Return a message with the options (--g 9.81) as arguments of Python (g=9.81); `flags` are the switches."""
+    """Return a message with options (--g 9.81) as Python arguments (g=9.81); options in `flags` have no value."""
 
     def argument(option: re.Match[str]) -> str:
         if option[2] is None:
@@ -89,7 +89,7 @@ def sentence(error: Exception) -> str:
 
 @contextmanager
 def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -> Iterator[None]:
-    """Turn an `OSError` in the context into `Refused`, naming `place` (default: the file) and `remedy`."""
+    """Turn an `OSError` in the context into a `Refused` that names `place` (default: its file) and `remedy`."""
     try:
         yield
     except OSError as error:
@@ -113,7 +113,7 @@ def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) 
 
 
 def named(option: str, text: str, example: str) -> tuple[str, str]:
-    """Return name and value of an option "NAME=VALUE". Raises `Refused` with an example for any other text."""
+    """Return name and value in the text "NAME=VALUE" of an option. Raises `Refused`, which shows `example`."""
     name, equals, value = text.partition("=")
     if not equals or not name.strip() or not value.strip():
         raise Refused(f"{option} {text}: give a name and its value, such as {example}")

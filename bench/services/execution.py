@@ -81,7 +81,7 @@ MOST_RECALLED: Final = 500
 
 @dataclass(frozen=True)
 class NewRun:
-    """A checked run that has not begun: folder, manifest, input files (content by name), notes for the person."""
+    """A checked run that has not begun: folder, manifest, content of input files by name, notes for the person."""
 
     folder: Path
     manifest: Manifest
@@ -198,10 +198,10 @@ def _free_name(procedure: str, runs: Path) -> str:
 def asker_of(
     run: Run, record: Record, history: History | None, out: Console, who: WishAuthor | None
 ) -> Asker | None:
-    """Return the object that puts the questions of a run to a person; None for a run without a person.
+    """Return the object that asks a person the questions of a run; None for a new run that asks nobody.
 
-    A run with a `history` is resumed, any other is new. `who` answers at the terminal; with None, no question
-    is asked there. A resumed dry run asks the person who resumes it.
+    A resumed run has a `history`, and a person is always asked. `who` answers at the terminal; with None, no
+    question is asked there.
     """
     if not run.asks_somebody and history is None:
         return None
@@ -222,7 +222,7 @@ def asker_of(
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run and yield it finished, while signals are handled; `announce` is called before it."""
+    """Carry out a new run, then yield it while signals are still handled; first call `announce` with it."""
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
@@ -245,9 +245,9 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Resume a run and yield it finished, while signals are handled; `announce` is called before it.
+    """Carry out the rest of a run, then yield it while signals are still handled; first call `announce` with it.
 
-    A finished run without results is yielded unchanged.
+    A finished run that lacks results is yielded at once.
     """
     away = is_away(request.answers, panel=request.panel)
     who = None if away else acting_at(TERMINAL, request.operator)
@@ -294,7 +294,7 @@ def _to_be_resumed(record: Record) -> Iterator[None]:
 
 
 def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
-    """Print which input files changed since the run began; on a real bench, a person must agree to continue."""
+    """Print which input files changed since the run began; in a real run, a person must agree to continue."""
     changes = []
     for kind, copy in (("procedure", PROCEDURE), ("bench", BENCH)):
         original = Path(str(run.manifest.get(kind)))
@@ -503,9 +503,10 @@ def _kept(record: Record) -> str:
 
 
 def unfinished_run(name: str | None, runs: Path, *, results_too: bool = False) -> Run:
-    """Return the run `name`, by default the latest to resume; with `results_too`, else the latest without results.
+    """Return the run called `name`; without a name, the latest run that can be resumed.
 
-    Raises `Refused` if there is none.
+    With `results_too` and no such run, return the latest finished run that lacks results. Raises `Refused` if
+    there is none, and for an imported run.
     """
     if name is None:
         digests = Digests(runs)
@@ -532,7 +533,7 @@ def taken_up(
     *,
     results_too: bool = False,
 ) -> tuple[Record, History]:
-    """Open the record of an unfinished run. Raises `Refused` for any other run.
+    """Open the record of an unfinished run to continue it. Raises `Refused` for an ended run.
 
     With `results_too`, a finished run that lacks results is accepted, too.
     """

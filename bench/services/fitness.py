@@ -54,10 +54,10 @@ def without_gravity(bench: BenchFile) -> Iterator[str]:
 
 
 def is_away(answers: str | None, *, panel: bool) -> bool:
-    """Return whether a person answers through the folder and not at a terminal.
+    """Return whether a person answers through the run's folder, and not at a terminal.
 
-    That is so for "folder" in `answers`, or for None if a `panel` has no terminal. Raises `Refused` for an unknown
-    place in `answers`.
+    This is the case if `answers` is "folder", or if it is None and a `panel` runs the program without a terminal.
+    Raises `Refused` for any text but "folder" and "terminal".
     """
     if answers not in (None, "terminal", "folder"):
         raise Refused(f"--answers {answers}: give 'terminal' or 'folder'")
@@ -65,7 +65,7 @@ def is_away(answers: str | None, *, panel: bool) -> bool:
 
 
 def refuse_contradictions(request: RunRequest) -> None:
-    """Raise `Refused` for options that do not go together, and for a real run without a bench file."""
+    """Raise `Refused` for options that contradict each other, and for a real run without a bench file."""
     if not (request.bench or os.environ.get("BENCH_FILE") or request.dry_run):
         raise Refused(
             "a run on real instruments needs a bench file; give --bench FILE or set BENCH_FILE, or try it "
@@ -80,8 +80,8 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    A bench file with `expired: ask` forbids such a run only if nobody can be asked: neither at a terminal nor
-    `away`.
+    With `expired: ask` in the bench file, expired certificates are refused only if nobody can be asked: the person
+    is not `away` (answers through the folder), and there is no terminal.
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)
@@ -107,7 +107,7 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """If the bench file demands it, ask whether to use expired certificates. Raises `BenchError` after a no."""
+    """Before a real run with expired certificates and `expired: ask`, ask to go on. A no raises `BenchError`."""
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

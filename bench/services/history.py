@@ -73,9 +73,10 @@ OF_THE_REPEATS: Final = (
 
 @dataclass(frozen=True)
 class LearningResult:
-    """The result of `bench learn`: sizes (`learned`), and all runs, also those that contradict the others.
+    """The result of `bench learn`: the errors learned from runs of a bench.
 
-    The learned file contains `effects` and is valid until `expires`.
+    `sources` are all runs, also those that contradict the others. The learned file contains `effects` and is valid
+    until `expires`.
     """
 
     learned: Learned
@@ -97,7 +98,7 @@ class LearningResult:
 
     @property
     def behind(self) -> tuple[Source, ...]:
-        """The sources from which the sizes were learned: all but the contradicting runs."""
+        """The sources from which the errors were learned: all but the contradicting runs."""
         return tuple(source for source in self.sources if source.name in self.learned.runs)
 
     @property
@@ -133,7 +134,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `RecordError`; `Refused` if it exists or too many runs contradict."""
+        """Write the learned file. Raises `RecordError`, and `Refused` if it exists or too many runs contradict."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -187,7 +188,7 @@ class LearningResult:
         }
 
     def print_on(self, out: Console) -> None:
-        """Print the contradicting runs, then the sizes, then the quantities that these runs do not determine."""
+        """Print the contradicting runs, the learned errors, and the quantities that these runs do not determine."""
         print_learned(self.learned, self.result, out)
 
     def __repr__(self) -> str:
@@ -196,11 +197,11 @@ class LearningResult:
 
 
 def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> LearningResult:
-    """Return the sizes of the errors that all runs of a bench share, as `bench learn` estimates them.
+    """Estimate the errors that all runs of a bench share, as `bench learn` does.
 
     `model` is a model file with effects of the bench, found in many runs together; the learned file contains them.
-    `by_installation` gives each installation separate mean angles. The file is valid until `expires` (a year by
-    default). The other parameters are those of `calibrate`; `sources` are those of the request, if already read.
+    `by_installation` estimates separate mean angles for each installation. The file is valid until `expires` (a
+    year by default). Other parameters are those of `calibrate`; `sources` are the request's, if already read.
     Raises `Refused` for runs of several benches, `CalibrationError` as `bench.history.learning.learn` does.
     """
     made = utc_now().date()
@@ -361,7 +362,7 @@ def _meter_run(source: Source, meters: tuple[str, str, str], day: float) -> Mete
 
 
 def written_meters(found: MeterDifferences) -> dict[str, Any]:
-    """Return the voltmeters' section of a learned file; covariances are widened for few degrees of freedom."""
+    """Return the voltmeters' section of a learned file; few degrees of freedom enlarge its covariances."""
     return {
         "meters": list(found.meters),
         "group": list(found.group),
@@ -384,7 +385,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 @dataclass(frozen=True)
 class ComparisonResult:
-    """A comparison of calibrations, with the bench file used for each run or readings file."""
+    """A comparison of calibrations; `taken` are pairs of a run or readings file and its bench file."""
 
     found: Comparison
     taken: tuple[tuple[str, BenchTaken], ...]
@@ -467,7 +468,7 @@ class Monitored:
 
 
 def monitored(request: asked.Monitor) -> Monitored:
-    """Return the chart of monitors; the first `baseline` set the limits. Raises `Refused`, `CalibrationError`."""
+    """Chart monitors; the first `baseline` of them set the limits. Raises `Refused`, `CalibrationError`."""
     sources = tuple(load_sources(reading(request, *request.sources)))
     for source in sources:
         if source.made_at is None:
@@ -482,7 +483,7 @@ def monitored(request: asked.Monitor) -> Monitored:
 
 
 def check_run(source: Source) -> CheckRun:
-    """Return a monitor as a run for a chart (day 1970-01-01 if unknown). Raises `CalibrationError`."""
+    """Return a monitor as a run for a chart; an unknown date becomes 1970-01-01. Raises `CalibrationError`."""
     readings = source.readings
     readings = readings.select(~np.isin(readings.installation, [*UNORIENTED]))
     force = np.zeros((0, 3))

@@ -70,7 +70,8 @@ class Nobody:
 class InstrumentLook:
     """The findings on one instrument; `failure` is the first fault.
 
-    `samples` is the number asked of a voltmeter, `to_do` what a person must do if it was not left safe.
+    `samples` is the number of samples of a voltmeter's reading. If the instrument could not be made safe, `to_do`
+    states what a person must do.
     """
 
     name: str
@@ -114,7 +115,7 @@ class InstrumentLook:
 
 
 def look_at(file: BenchFile, wire: WireLog | None, haste: Haste | None = None) -> list[InstrumentLook]:
-    """Open, test, read and close all instruments at once; `haste` ends the wait for those that do not answer."""
+    """Open, test, read and close all instruments in parallel; `haste` ends the wait for missing answers."""
     assembly = real_bench(file, Nobody(), wire, haste)
     instruments = assembly.instruments.all()
     rows = [_row(file, instrument) for instrument in instruments]
@@ -230,9 +231,8 @@ WIRE_LOG: Final = "wire.log"
 class CommissioningPlan:
     """The options of a commissioning: the bench, the person and the folder of the page.
 
-    Without a `person`, the bench is simulated and a script answers; `seed` is the seed of its random numbers.
-    `tell` shows a line to the person. `course` is the function that carries out the checks; `what` is their
-    name on the page.
+    Without a `person`, a script answers on a simulated bench with the random `seed`. `tell` shows a line to the
+    person. `course` is the function that carries out the checks; `what` is their name on the page.
     """
 
     file: BenchFile
@@ -253,8 +253,8 @@ def free_folder(what: str) -> Path:
 def commission(setting: CommissioningPlan) -> dict[str, Any]:
     """Carry out a commissioning; write result, page and wire log into its folder, and return the result.
 
-    The bench is left safe and the page written whatever happens. Raises `Refused`, and `BenchError` for a bench
-    that cannot be simulated.
+    After an error or a signal, too, the bench is left safe and the page is written. Raises `Refused`, and
+    `BenchError` for a bench that cannot be simulated.
     """
     folder = setting.folder
     if (folder / PAGE).exists() or (folder / WIRE_LOG).exists():

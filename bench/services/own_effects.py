@@ -42,7 +42,7 @@ def knowing_effects_in(files: str | Path | Sequence[str | Path] | None) -> Abstr
 
 
 def effects_for_record() -> dict[str, bytes]:
-    """Return the file by which a run records the user's own effects: {name: content}; empty if none."""
+    """Return the file in which a run records the user's own effects, as {name: content}; {} without effects."""
     if not CATALOGUE.own:
         return {}
     return {
@@ -91,7 +91,7 @@ def accept_terms(request: Accept) -> tuple[Path, Path]:
 
 
 def simulated_truth(bench: BenchFile, model: Path | None) -> ForwardModel:
-    """Return the model that the simulated bench obeys. Raises `Refused` for an effect of single passes."""
+    """Return the true model of a simulated bench. Raises `Refused` for an effect that acts in single passes."""
     installations = bench.installation_models()
     effects = bench.applied_effects()
     if model is not None:

@@ -88,7 +88,7 @@ class Persons(Chain):
         return next((one for one in self.everyone.values() if not one.ended and one.has_token(token)), None)
 
     def chosen(self, name: str, right: Right, option: str) -> Person:
-        """Return the person of this name, who must have the right. Otherwise, `Refused` names the option."""
+        """Return the person called `name`. Raises `Refused`, naming the option, for a person without the right."""
         able = {one.name: one for one in self.who_may(right)}
         if name in able:
             return able[name]
@@ -121,7 +121,7 @@ def persons_of(laboratory: Path | None) -> Persons | None:
 
 
 def authorised_by(laboratory: Path, name: str, right: Right, option: str) -> Person | None:
-    """Return the named person, if right and identity are proved; None without a register. Raises `Refused`."""
+    """Return the named person after a check of right and identity; None without register. Raises `Refused`."""
     register = persons_of(laboratory)
     return None if register is None else _proved(register.chosen(name, right, option))
 
@@ -156,7 +156,7 @@ def _holds_key(person: Person, file: str | None) -> bool:
 
 
 def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[str, OperatorPerson | None]:
-    """Return the operator's name, and data for the run's record (None without register). Raises `Refused`."""
+    """Return the operator's name, and role and rights for the record (None without register). Raises `Refused`."""
     if re.search("[\ud800-\udfff]", name):
         raise Refused("--operator: the name is not UTF-8 text; set the terminal to UTF-8 and type it again")
     register = persons_of(laboratory_known(laboratory))
@@ -183,7 +183,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
 
 
 def resumer(where: str, name: str) -> WishAuthor:
-    """Return the author of a resumption for the record; nobody if there is neither `name` nor register.
+    """Return the person to record as resuming a run; nobody if there is neither a `name` nor a register.
 
     `where` is a place, or a place and the person's role there, separated by a space.
     """
@@ -197,7 +197,7 @@ def resumer(where: str, name: str) -> WishAuthor:
 
 
 def persons(request: ChangePersons) -> PersonsResult:
-    """Carry out the requested change of the register, if any, and return it. Raises `Refused`."""
+    """Carry out the requested change of the register, if any; return the register. Raises `Refused`."""
     laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons.beside(laboratory))

@@ -79,7 +79,7 @@ MOST_ANGLES: Final = 72
 
 
 def planned(request: PlanPoints) -> PlannedPoints:
-    """Return points that reach goals in least time, or the least u in a given time. Raises `Refused`."""
+    """Return test points that reach goals in the least time, or the least u in a given time. Raises `Refused`."""
     _refuse_contradictions(request)
     taken = find_bench_file(request.bench)
     file = taken.file
@@ -132,10 +132,10 @@ def _refuse_contradictions(request: PlanPoints) -> None:
 def stand_of(
     bench: BenchFile, model: ForwardModel, known: KnownStand | None = None, day: datetime.date | None = None
 ) -> design.Stand:
-    """Return the stand for planning on a bench, with all errors that a calibration states.
+    """Return the stand for planning on a bench, with all errors whose u a calibration includes.
 
-    `known` are learned sizes. Drift counts from the certificates to `day`. Raises `CalibrationError` if the
-    bench file states no noise.
+    `known` are learned errors of the stand. `day` is the day up to which the instruments drift after their
+    certificates. Raises `CalibrationError` if the bench file states no noise.
     """
     sizes = {name: d.u for name, d in (bench.stand_distributions() | assumed_stand(bench)).items()}
     hidden = signed_sources(bench, model, day)
@@ -156,7 +156,7 @@ def _goals(request: PlanPoints, stand: design.Stand, bench: BenchFile) -> list[d
 
 
 def delta_g_of(stand: design.Stand, asked_g: float, option: str) -> list[design.Goal]:
-    """Return a goal u(Δg) ≤ `asked_g` (g) at each verification point. Raises `Refused` if the bench has none."""
+    """Return the goals u(Δg) ≤ `asked_g` (g), one for each verification point of the bench. Raises `Refused`."""
     if VERIFICATION not in stand.model.installations:
         raise Refused(
             f"{option} needs the installation V of the verification points; add it to the bench file"
@@ -195,7 +195,7 @@ def _times(request: PlanPoints) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings to choose from: `visits` to each installation (default: all of the bench)."""
+    """Return the mountings for a plan: `visits` to each of the `installations`, by default to all of the bench."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
     labels = known
     if installations is not None:
@@ -210,7 +210,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` equally spaced angles of a turn, rad, that the head can reach from both sides."""
+    """Return those of `count` equally spaced angles, rad, that the head can approach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
@@ -266,12 +266,12 @@ def _remarks(points: ChosenPoints, bench: BenchFile, *, asked: bool) -> str:
 def budget_of(request: Budget) -> BudgetResult:
     """Return the contribution of each bench error to the coefficients and to any measured acceleration.
 
-    `procedure` states the readings of the calibration. `coefficients` (a result of `bench calibrate --json`) states
-    the block; the default is the block in the bench file. `trials` is the number of Monte Carlo trials that check
-    the linear propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary") and
-    `guard_band` in U replace the values of the bench file. `same_voltmeters` states that the block will be used
-    with the voltmeters of the calibration. `g` is local gravity in m/s². Raises `Refused`, `CalibrationError`,
-    `FileMistakes`.
+    `procedure` states the readings of the calibration. `coefficients` (a result of `bench calibrate --json`)
+    describes the block; the default is the block in the bench file. `trials` is the number of Monte Carlo trials
+    that check the linear propagation (0: none). `limit` of Δg in g, `rule` ("simple", "guarded" or "non-binary")
+    and `guard_band` in U replace the values of the bench file. `same_voltmeters` states that the block will be
+    used with the voltmeters of the calibration. `g` is local gravity in m/s². Raises `Refused`,
+    `CalibrationError`, `FileMistakes`.
     """
     check_gravity(request.g)
     estimator = in_a_budget(request.estimator).name
@@ -349,7 +349,7 @@ ACCELERATIONS: Final = frozenset({ACCELERATION_OF, MODULUS_OF})
 
 
 def requirements(request: Require) -> Requirements:
-    """Return how large each error may be so that k u meets the accuracy. Raises `Refused`, `CalibrationError`."""
+    """Return how large each error may be for k u to meet the accuracy. Raises `Refused`, `CalibrationError`."""
     estimator = in_a_budget(request.estimator).name
     taken = find_bench_file(request.bench)
     file, of = taken.file, request.of

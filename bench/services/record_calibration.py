@@ -31,7 +31,7 @@ OF_METERS: Final = (
 
 @dataclass(frozen=True, repr=False)
 class RecordCalibrationResult:
-    """Gain and offset, with u, of each channel of a record at a known input."""
+    """Gain and offset of each channel, with u, from a record at a known input."""
 
     source: Source
     calibration: RecordCalibration
@@ -49,7 +49,7 @@ class RecordCalibrationResult:
 
     @property
     def accepted(self) -> bool:
-        """Always true, because no limit applies to a record."""
+        """Always true: a record at a known input is not judged against a limit."""
         return True
 
     strictly_accepted = accepted
@@ -88,7 +88,7 @@ class RecordCalibrationResult:
 
 
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
-    """Calibrate meters from readings at a known input minus the model's effects. Raises `CalibrationError`."""
+    """Calibrate meters at a known input, corrected for the model's effects. Raises `CalibrationError`."""
     hidden = (
         *unread_sources(source.bench, source.model), *meter_gain_sources(source.bench, source.traced.day)
     )  # fmt: skip

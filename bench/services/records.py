@@ -34,7 +34,7 @@ def run_summaries(runs: Path) -> RunsResult:
 
 
 def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> RunPart:
-    """Return the row of a run in the list; for a run that cannot be read, the row has the reason."""
+    """Return a run's row in the list of runs; for a run that cannot be read, the row states the reason."""
     try:
         digest = digest_of(run)
         state, to_go_on = _state_and_next(run, digest)
@@ -66,7 +66,7 @@ def show_run(run: Run, request: ShowRun) -> ShowResult:
 
 
 def supply_in_words(run: Run) -> str:
-    """Return the range of voltage and current of each supply rail in words; "" if they were not measured."""
+    """Return the ranges of voltage and current that each supply rail had; "" if they were not measured."""
     if run.imported:
         return ""
     return ranges_in_words(columns_of([one.rails for one in run.history.readings.values()]))
@@ -111,7 +111,7 @@ class SealResult:
 
 
 def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
-    """Seal a run that has ended, without time stamp if the server gives none. Raises `RecordError`, `Refused`."""
+    """Seal an ended run, even if the server gives no time stamp. Raises `RecordError`, `Refused`."""
     run, key, server = find_run(request.run, runs_folder(request.runs)), request.key, request.timestamp
     if server is not None:
         seals.check_server(server)

@@ -27,7 +27,7 @@ RANGE_V: Final = 10.0
 
 @dataclass(frozen=True)
 class FoundResource:
-    """A resource of this computer: its kind (`what`) and, once addressed, its identity or the failure.
+    """A resource of this computer: its kind (`what`) and, if it was asked, its identity or the failure.
 
     `driver` is the driver for the instrument, empty if none is known. For a voltmeter, `interface` is its
     interface and `shows` its reading.
@@ -48,7 +48,7 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return the resources listed by the interfaces, and notes on interfaces not searched. Addresses none."""
+    """Return the resources that the interfaces list, and notes on unsearched interfaces; ask no resource."""
     offer = discover()
     ports = [
         FoundResource(port.resource, f"serial port {port.device} {port.description}".rstrip())
@@ -58,7 +58,7 @@ def offered() -> tuple[list[FoundResource], list[str]]:
 
 
 def checked_resource(text: str) -> str:
-    """Return a resource as typed. Raises `Refused` if the text is no resource."""
+    """Return the name of a resource unchanged. Raises `Refused` if `text` is not such a name."""
     try:
         return any_resource(text)
     except ValueError as mistake:

@@ -63,7 +63,7 @@ LEAST_GRAVITY, MOST_GRAVITY = 9.75, 9.85
 class Request:
     """The sources of an analysis, and the options that replace the defaults.
 
-    `runs` is the folder of runs found by name, `out` a folder for files derived from the readings.
+    `runs` is the folder in which runs are found by name, `out` a folder for the files that commands write.
     """
 
     sources: Sequence[Given]
@@ -76,7 +76,7 @@ class Request:
 
 
 def reading(asked: OnReadings, *sources: Given | Path, out: Path | None = None) -> Request:
-    """Return the `Request` to read `sources` with the options `asked`; derived files go to folder `out`."""
+    """Return the `Request` for `sources` with the options `asked`; commands write files into the folder `out`."""
     model, place = getattr(asked, "model", None), out or getattr(asked, "out", None)
     return Request(
         [str(source) if isinstance(source, Path) else source for source in sources],
@@ -96,10 +96,10 @@ class Source:
     `taken` is the bench file with the reason for its choice; `bench` is its content, with the unit that was
     measured. `origin` is the origin of the readings, None if it is not recorded. `readings` are corrected by
     the certificates of the instruments (`traced`) and by learned differences of the voltmeters; `as_read` are
-    the uncorrected readings. `effects` are the user's own effects, known to the program or written as
-    formulas in the bench file or the model file. `known` are the sizes of stand and noise learned from other
-    runs (None: nothing was learned). `known_meters` are the learned differences of the voltmeters;
-    `learned_of` identifies the file with these differences.
+    the uncorrected readings. `effects` are the user's own effects: registered in the program, or formulas
+    in the bench file or the model file. `known` are the errors of stand and noise learned from other runs (None:
+    nothing was learned). `known_meters` are the learned differences of the voltmeters; `learned_of` identifies
+    the file with these differences.
     """
 
     name: str
@@ -139,7 +139,7 @@ class Source:
 
     @property
     def block_name(self) -> str:
-        """Type and serial number of the block; empty if neither origin file nor requested bench file has them."""
+        """Type and serial number of the block; "" if neither the origin nor a requested bench file states them."""
         if self.origin is None and not (self.request.bench or os.environ.get("BENCH_FILE")):
             return ""
         unit = self.bench.unit_under_test
@@ -152,7 +152,7 @@ class Source:
 
     @property
     def what_if(self) -> bool:
-        """Whether a run is evaluated with other settings than recorded; its results then go elsewhere."""
+        """Whether a run is evaluated with another bench file, gravity or model than recorded."""
         if self.run is None:
             return False
         asked = self.request
@@ -162,13 +162,13 @@ class Source:
 
     @property
     def stand_u(self) -> dict[str, float]:
-        """Standard uncertainties (rad) of the stand's errors; "voltmeter_error" in V (0 without signals in V)."""
+        """Standard uncertainties of the stand's errors, rad; "voltmeter_error" in V, 0 if signals are not in V."""
         sizes = {name: d.u for name, d in self.bench.stand_distributions().items()}
         return sizes if self.readings.unit == VOLTS else sizes | {"voltmeter_error": 0.0}
 
     @property
     def assumed_u(self) -> dict[str, float]:
-        """Standard uncertainties (rad), by name, of those errors of the stand that a bench file may omit."""
+        """Standard uncertainties (rad), by name, of stand errors that are assumed if the bench file omits them."""
         from bench.calibration.budget.sources import assumed_stand  # a diagnosis does without the budget
 
         return {name: size.u for name, size in assumed_stand(self.bench).items()}
@@ -186,7 +186,7 @@ class Source:
         }
 
     def as_certified(self) -> Source:
-        """Return the source without learned values: corrected by certificates, with limits as stated."""
+        """Return the source without what was learned: certificates alone correct it, and stated limits apply."""
         readings = corrected(self.as_read, self.traced.by_certificates)
         return replace(
             self, known=None, known_meters=None, readings=replace(readings, notes=self.readings.notes)
@@ -195,9 +195,8 @@ class Source:
     def output(self, command: str, suffix: str, *, what_if: bool = False) -> Path:
         """Return the path of the file that a command writes for this source.
 
-        The file is in the folder `--out`; without that option, in the folder of the run; without a run, in a
-        folder beside the readings file, named after the command. With `what_if` and without `--out`, it is in the
-        run's folder `what-if`.
+        The file is in the folder `--out`, if that is given. Otherwise it is in the run's folder (with `what_if`, in
+        its subfolder `what-if`) or, without a run, beside the readings file in a folder named after the command.
         """
         file = _output(self.name, self.run, self.request.out, command, suffix)
         aside = what_if and self.run is not None and self.request.out is None
@@ -225,7 +224,7 @@ def check_places(request: Request) -> None:
 
 
 def one_place(place: str) -> str:
-    """Return the message on two sources whose results would have the same files."""
+    """Return the error message for two sources whose results would be written to the same `place`."""
     return (
         f"two sources would write {place}*; name each source once, and evaluate different sources of one name "
         "separately, each with its own --out DIR"

@@ -37,7 +37,7 @@ Files = Iterator[tuple[str, Path, str]]
 
 @dataclass(frozen=True)
 class RecordAtRest:
-    """Noise and drift of a static record; the bench file, notes on its choice, and the run (or None)."""
+    """Noise and drift of a static record, the bench file, notes on its choice, and the run, if any."""
 
     found: Stability
     taken: BenchTaken
@@ -58,7 +58,7 @@ class RecordAtRest:
         return as_text(lambda out: print_stability(self.found, out))
 
     def files(self, out: Path | None) -> Files:
-        """Yield the files to write into `out`, or beside the record."""
+        """Yield description, path and text of each file, in `out` or, if that is None, beside the record."""
         path = Path(self.found.record.source)
         if self.run is None:
             stem = (out or path.parent / "stability") / path.stem
@@ -69,7 +69,7 @@ class RecordAtRest:
 
 
 def at_rest(request: asked.Stability) -> RecordAtRest:
-    """Return noise and drift of a static record, and the averaging that a reading needs. Raises `Refused`."""
+    """Return noise and drift of a static record, and recommended settings of a reading. Raises `Refused`."""
     size, runs = request.size, runs_folder(request.runs)
     if size is not None and not (math.isfinite(size) and size > 0):
         raise Refused(f"--size {size}: give a positive number in the unit of the signals")

@@ -45,10 +45,10 @@ class Traced:
     """The certificates of a bench for readings of a day, and the corrections of the readings.
 
     Each of the `entries` is a certificate with the reason why it does not correct the readings, "" if it
-    does. `recorded` says whether a run recorded the readings; other readings are assumed to be as the
-    instruments showed them. `by` are all corrections of the readings, including learned ones;
-    `by_certificates` are those from certificates. `between_deg` are the angles read far from every row of the
-    head's table.
+    does. `recorded` says whether the origin of the readings is known; if not, the readings are assumed to be what
+    the instruments showed. `by` are all corrections of the readings, including learned ones; `by_certificates`
+    are those from certificates. `between_deg` are the head angles of readings, degrees, that are far from every
+    row of the table in the head's certificate.
     """
 
     day: datetime.date
@@ -83,7 +83,7 @@ class Traced:
                 yield f"readings not corrected by the certificate of {', '.join(names)}: {why}"
 
     def parts(self) -> list[CorrectionPart]:
-        """Return the part of a result for each certificate."""
+        """Return for each certificate its part of a result."""
         return [
             CorrectionPart.from_object(
                 standing,
@@ -123,9 +123,9 @@ def _in_words(standing: Standing, why_not: str) -> str:
 def trace(
     taken: BenchTaken, bench: BenchFile, readings: Readings, origin: Origin | None
 ) -> tuple[BenchFile, Readings, Traced]:
-    """Return three things: the bench, the corrected readings, and the certificates with the corrections made.
+    """Return the bench without certificates of other instruments, the corrected readings, and the corrections.
 
-    The bench lacks those certificates that belong to other instruments.
+    A certificate belongs to another instrument if the instrument reported another serial number.
     """
     day = _day(origin)
     found = standings(bench, day, _answered(bench, origin))
@@ -198,7 +198,7 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
 def voltmeter_names(
     bench: BenchFile, taken: BenchTaken, origin: Origin | None, readings: str
 ) -> dict[str, str]:
-    """Return the name of the voltmeter that read each channel; empty if that is not recorded."""
+    """Return the name of the voltmeter that read each channel, by channel; {} if that is not recorded."""
     recorded = None if origin is None else _recorded(bench, taken, origin, readings)
     if origin is None or recorded is None:
         return {}
@@ -226,7 +226,7 @@ def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str
 
 
 def learned_meters(entry: MetersEntry) -> LearnedMeters:
-    """Return the voltmeters' section of a learned file in the form that a calibration uses."""
+    """Return the section on voltmeters of a learned file, as arrays for a calibration."""
     gain, zero = (
         LearnedDifferences(np.array(one.values), np.array(one.covariance), entry.group)
         for one in (entry.gain, entry.offset_v)
@@ -239,7 +239,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """The valid part of a learned file, with notes; `name` identifies the voltmeter differences in `meters`."""
+    """What is used of a learned file, with notes; `name` identifies the voltmeter differences `meters`."""
 
     known: KnownStand | None = None
     effects: tuple[AppliedEffect, ...] = ()
@@ -261,9 +261,10 @@ def take_learned(
     hashes: tuple[str, ...] = (),
     simulated: bool | None = None,
 ) -> LearnedTaken:
-    """Return the valid part of a learned file for readings made on `day` with signals in `unit`.
+    """Return what is used of a learned file for readings made on `day` with signals in `unit`, and notes.
 
-    `head` and `hashes` identify the record of the readings; `simulated` is None if that is not known.
+    Nothing is used of a file that has expired, that was learned from these readings (identified by `head` and
+    `hashes`), or that comes from simulated runs if these readings are real (`simulated` False; None: unknown).
     """
     if file is None:
         return NOTHING_LEARNED
@@ -290,7 +291,7 @@ def take_learned(
 
 
 def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bool | None) -> LearnedTaken:
-    """Return the part, valid on the day `created`, of the learned file that the bench file at `path` names.
+    """Return what a run begun at `created` uses of the learned file that the bench file at `path` names.
 
     If `path` is the run's own copy, later changes of the original files have no effect. Raises `FileMistakes`.
     """
@@ -299,7 +300,7 @@ def learned_for_run(bench: BenchFile, path: Path, created: str, *, simulated: bo
 
 
 def with_effects(model: ForwardModel, effects: tuple[AppliedEffect, ...]) -> ForwardModel:
-    """Return a model with learned effects of the bench added; effects that the model already has stay unchanged."""
+    """Add learned effects of the bench to a model; effects that the model already has stay unchanged."""
     there = {applied.effect.name for applied in model.effects}
     further = tuple(applied for applied in effects if applied.effect.name not in there)
     return replace(model, effects=(*model.effects, *further)) if further else model

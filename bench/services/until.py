@@ -149,7 +149,10 @@ def _of_force(
 def chooser_of(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> Chooser:
-    """Return the chooser of settings for goals. Raises `Refused` for goals that are invalid or out of reach."""
+    """Return the chooser that picks the settings of a run for its goals, the `texts` of `--until`.
+
+    Raises `Refused` for goals that are invalid or out of reach.
+    """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
         whole = stand_of(bench, model, learned.known)
@@ -203,7 +206,7 @@ def _refuse_too_short(aim: Aim, pool: Pool) -> None:
 
 
 class Until:
-    """The chooser of a run's next settings; it depends on the record alone, so that a resumed run repeats it."""
+    """The chooser of a run's next settings; it uses the record alone, so that a resumed run chooses the same."""
 
     def __init__(self, run: Run, bench: BenchFile) -> None:
         self._run = run
@@ -212,7 +215,7 @@ class Until:
         self._point_of = {point.reads[0]: point for point in self._chooser.pool.points}
 
     def __call__(self, index: int, progress: PlanProgress) -> dict[str, Any] | None:
-        """Return the choice before step `index` as JSON data; None if there is nothing to choose."""
+        """Return the choice of settings before step `index`, as JSON data; None if there is nothing to choose."""
         pool = self._chooser.pool
         last = progress.chosen[-1] if progress.chosen else None
         refused = frozenset(v.mount for v in pool.visits if v.mount_step in progress.skipped)
@@ -286,7 +289,7 @@ class Until:
 
 
 def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequence[str]) -> tuple[str, ...]:
-    """Note the goals in the manifest; return notes on learned sizes and duration. Raises `Refused`."""
+    """Note the goals in the manifest; return notes on what was learned, and on the duration. Raises `Refused`."""
     manifest["until"] = [*texts]
     learned = learned_for_run(
         bench, Path(manifest["bench"]), manifest["created"], simulated=bool(manifest["dry_run"])
@@ -297,7 +300,7 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run with these goals, with the learned noise or else the stated noise."""
+    """Return the expected duration of a run with these goals, for the learned noise or else the stated noise."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 

@@ -62,10 +62,10 @@ def _files_of(folder: Path, name: str) -> Iterator[tuple[str, str]]:
 
 
 def plug_ins(bench: BenchFile) -> dict[str, str]:
-    """Return the SHA-256 of the laboratory's own drivers and effects with which a bench runs, by path or name.
+    """Return the SHA-256 of each of the laboratory's own drivers and effects for a bench, by path or name.
 
-    If the bench file names a driver of the laboratory, all drivers count: the files of BENCH_DEVICES, and the
-    distributions that have drivers.
+    If the bench file names any driver of the laboratory, all its drivers are included: the files in the folders
+    of BENCH_DEVICES, and the distributions that contain drivers.
     """
     found: dict[str, str] = {}
     if foreign_drivers(bench):
@@ -84,7 +84,7 @@ def digest_of(found: dict[str, str]) -> str:
 
 
 def packages() -> Iterator[metadata.Distribution]:
-    """Yield the installed distributions that the program needs, the program first, optional ones if installed."""
+    """Yield the program's distribution, and the installed distributions that it needs or can use."""
     waiting, seen = [DISTRIBUTION], set()
     while waiting:
         name = re.sub(r"[-_.]+", "-", waiting.pop(0)).lower()
@@ -148,12 +148,12 @@ class Validations(Chain):
         return [one for one in self.entries if one.kind == ACCEPTED and one.number not in self.withdrawn]
 
     def latest(self, bench_file: Path | str) -> Entry | None:
-        """Return the latest valid validation for a bench file of this name; None if there is none."""
+        """Return the latest valid validation for a bench file with the file name of `bench_file`, or None."""
         name = Path(bench_file).name
         return next((one for one in reversed(self.standing()) if one.data["bench"] == name), None)
 
     def accepts(self, program: str, bench_sha256: str | None, own: str | None = None) -> bool:
-        """Return whether a valid validation covers program, bench file and plug-ins, by hash (None: any)."""
+        """Return whether a valid validation is for these hashes of program, bench file and plug-ins (None: any)."""
         return any(
             one.data["fingerprint"] == program
             and bench_sha256 in (None, one.data["bench_sha256"])

@@ -62,7 +62,7 @@ class VerdictOptions:
         return cls(recorded.get("limit_g"), recorded.get("rule"), recorded.get("guard_band"))
 
     def recorded(self) -> VerdictAsked:
-        """Return the options that are set, as the record of a run keeps them. Raises `Refused` for invalid ones."""
+        """Return limit, rule and guard band, if set, for a run's record. Raises `Refused` for invalid options."""
         self.check()
         record: VerdictAsked = {}
         if self.limit_g is not None:
@@ -104,7 +104,7 @@ class Judgement:
     population: Population | None
 
     def but(self, asked: VerdictOptions) -> Judgement:
-        """Return this basis with the options `asked` applied; another rule discards the guard band."""
+        """Return this basis changed by the options `asked`; a new decision rule discards the old guard band."""
         rule = self.rule
         if asked.guard_band is not None:
             rule = DecisionRule.of(asked.rule or rule.name, asked.guard_band)
@@ -123,7 +123,7 @@ def judgement_of(
 ) -> Judgement:
     """Return the basis of a verdict: values of the bench file, replaced by the options `asked`.
 
-    Later options override earlier ones. `default` is the rule if none is named. Raises `Refused` for invalid
+    Later options override earlier ones. If no decision rule is named, it is `default`. Raises `Refused` for invalid
     options, and `CalibrationError` for a guard band with a rule that has none.
     """
     stated, known = bench.verification, bench.verification.population
@@ -141,9 +141,9 @@ def judgement_of(
 def own_judgement(
     source: Source, asked: VerdictOptions | None = None, agreed: DecisionRule | None = None
 ) -> Judgement:
-    """Return the basis of a source's verdict: the options `asked`, else those of its run or bench file.
+    """Return the basis of a source's verdict: the options `asked`, else those of its run, else its bench file.
 
-    `agreed` is the decision rule if none of these names a rule.
+    If none of them names a decision rule, it is `agreed` or, if that is None, the run's default rule.
     """
     options = (VerdictOptions.of_run(source.run), asked or NOTHING_ASKED)
     return judgement_of(source.bench, *options, default=agreed or _default_of(source.run))
@@ -196,13 +196,13 @@ class VerificationResult:
 
     @property
     def otherwise(self) -> bool:
-        """Whether limit, rule or population differ from those of the run's own verdict."""
+        """Whether limit, rule or population differ from the source's own: those of its run or bench file."""
         own, found = own_judgement(self.source), self.verification
         return Judgement(found.limit_g, found.decision, found.population) != own
 
     @property
     def bench(self) -> str:
-        """The name of the bench file used for limit, rule, stand errors and gravity, with the reason for it."""
+        """The name of the bench file that states limit, rule, stand errors and gravity, and why it was chosen."""
         return self.source.taken.words
 
     @property
@@ -267,7 +267,7 @@ def judged(
     own: Calibration | None = None,
     warnings: tuple[str, ...] = (),
 ) -> VerificationResult:
-    """Return the verification with the coefficients `taken`; `own` is their calibration, from the same readings.
+    """Verify a source with the coefficients `taken`; `own` is their calibration if it used the same readings.
 
     Raises `CalibrationError` if there is no verification point.
     """
@@ -303,7 +303,7 @@ def judged(
 
 
 def overruled_in(run: Run | None) -> tuple[str, ...]:
-    """Return a sentence for each early warning of a run that was overruled, if its readings were not repeated."""
+    """Return a sentence for each early warning that a person overruled and whose readings were not repeated."""
     overruled = [] if run is None else run.history.not_repaired()[1]
     if not overruled:
         return ()
