@@ -288,8 +288,7 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` is the expectation, with one member, from the earlier readings; `before` is the cost (-2 ln
-        likelihood) of these readings.
+        `state` is the expectation (one member) from the earlier readings, `before` their cost (-2 ln likelihood).
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -536,10 +535,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Accept the lasting mistakes that were just named, because a person continued despite them.
-
-        No misfit stops the run until a reading fits or is repeated, or until the block is mounted again.
-        """
+        """Accept the lasting mistakes just named, and stop no more until a reading fits: a person continued."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:
