@@ -79,8 +79,8 @@ ONE_SIDED: Final = 1.645
 class EstimatedSize:
     """An estimated standard deviation, its u (NaN if the estimate is zero) and its upper 95 % limit, `most`.
 
-    `p_all_looks` is the p-value of a likelihood-ratio test against zero, corrected for twelve coefficients;
-    NaN if not tested.
+    `p_all_looks` is the p-value of the likelihood-ratio test of the hypothesis that the standard deviation is zero,
+    corrected for twelve coefficients; NaN if not tested.
     """
 
     value: float
@@ -90,7 +90,7 @@ class EstimatedSize:
 
     @property
     def shown(self) -> bool:
-        """Whether the size is significantly larger than zero."""
+        """Whether the standard deviation is significantly larger than zero."""
         return self.p_all_looks < SHOWN_P
 
 

@@ -44,14 +44,16 @@ class Snapshot:
 
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
-    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error
-    due to a one-u error of the block's nonlinearity K2 or K3; this error is the same in every calibration of
-    the block. `wander` (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest
-    effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at which the
-    coefficients hold, °C, NaN if unknown. `gravity_u` is the relative standard uncertainty of `g_m_s2`, which
-    `covariance` does not include until `per` converts the scale factors to another g; `of_gravity` (12,) is then
-    the error due to one u of g, the same in all calibrations at the `place` with that g. A snapshot in the nine
-    intrinsic numbers has arrays of nine instead of twelve; the biases come last in both.
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
+    an error of one standard uncertainty in the block's nonlinearity K2 or K3; the error is the same in every
+    calibration of the block. `wander` (3,) is the rms deviation of each bias from its mean during the run. `dof` is
+    the smallest effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at
+    which the coefficients hold, °C, NaN if unknown.
+
+    `gravity_u` is the relative standard uncertainty of `g_m_s2`. The `covariance` includes it only after `per` has
+    converted the scale factors to another g. `of_gravity` (12,) is then the error due to one standard uncertainty
+    of g, the same in all calibrations at the `place` with that g. A snapshot in the nine intrinsic numbers has
+    arrays of nine instead of twelve; the biases come last in both.
     """
 
     name: str
@@ -75,8 +77,8 @@ class Snapshot:
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
         """Return the snapshot with scale factors per g of `g_m_s2` (m/s²), which has the relative u `gravity_u`.
 
-        The covariance then includes the errors of both values of g, which all scale factors share. For the same g,
-        as of calibrations in one place, there is no such error.
+        The covariance then includes the errors of both values of g, which all scale factors share. If `g_m_s2` is
+        the g of the snapshot, as for calibrations in one place, the snapshot is returned unchanged.
         """
         return self if g_m_s2 == self.g_m_s2 else self._elsewhere(g_m_s2, gravity_u)
 
@@ -248,8 +250,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     """Compare calibrations of one block; the reference is the earliest, or the first if any date is missing.
 
     Scale factors are converted to the local gravity of the reference. Raises `CalibrationError` if there are fewer
-    than two calibrations, their units differ, or a covariance is singular other than by the convention of free
-    positions.
+    than two calibrations, or if their units differ. It is also raised for a singular covariance, unless the
+    singularity comes from the convention of free positions.
     """
     if len(snapshots) < 2:
         raise CalibrationError("a comparison needs two or more calibrations; name another run or result")
@@ -451,10 +453,11 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 class Joint:
     """The joint covariance of all twelve coefficients (or nine intrinsic numbers) of n calibrations, in parts.
 
-    `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
-    to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q) are
-    the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
-    `gravity` (n, 12, 1) are those due to g, shared by all with the same index in `place` (n,).
+    `own` (n, 12, 12) is the independent part of each calibration. `meters` (n, 12, 12) are square roots of the
+    covariances due to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms`
+    (n, 12, q) are the errors due to K2 and K3, shared by all calibrations with the same block index in `block`
+    (n,). `gravity` (n, 12, 1) are the errors due to g, shared by all calibrations with the same index in `place`
+    (n,).
     """
 
     own: Floats

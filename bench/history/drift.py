@@ -88,13 +88,14 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """The filtered state at the last calibration, (12, m, …), for 12 coefficients and m pairs of variances.
+    """The Kalman filter's state of 12 coefficients at the last calibration, for each of m pairs of variances.
 
-    A pair is a variance of scatter, `between`, and a variance of a random walk per year, `walk`; `weight` sums to
-    1 over the pairs. `line` (12, m, 2) is level and rate; `covariance` (12, m, 2, 2) is their covariance. The
-    Kalman filter of the random walk was run on the values and on the two columns, 1 and time, of the line's design
-    matrix: `walked` (12, m) and `columns` (12, m, 2) are the walks that result, `left` (12, m) the walk's
-    variance. `last_year` is the time of the last calibration since the first.
+    A pair consists of the variance `between` calibrations and the variance `walk` of a random walk in a year.
+    `weight` is the probability of each pair; its sum over the pairs is 1. `line` (12, m, 2) is level and rate,
+    `covariance` (12, m, 2, 2) their covariance. The filter of the random walk was applied to the values and to the
+    two columns of the line's design matrix, ones and times. Its states are `walked` (12, m) and `columns` (12, m,
+    2); `left` (12, m) is the variance of the walk. `last_year` is the time from the first to the last calibration,
+    years.
     """
 
     last_year: float
@@ -356,9 +357,9 @@ DAY: Final = np.timedelta64(1, "D")
 class Due:
     """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
-    `predicted_g` is the expanded error expected on the due date, and `now_g` on the day of the last calibration, in
-    local g; both are None if the basis is the interval. `count` is the number of calibrations; `last` is the time
-    of the last calibration.
+    `predicted_g` is the error expected on the due date, `now_g` that on the day of the last calibration: |mean| + k
+    u in the worst direction, in local g. Both are None if the basis is the interval. `count` is the number of
+    calibrations; `last` is the time of the last calibration.
     """
 
     date: np.datetime64
@@ -382,12 +383,13 @@ def due(
     *,
     simulated: bool = False,
 ) -> Due:
-    """Return the due date of a block that was calibrated at `when` (n,) with coefficients `vector` (n, 12) per g.
+    """Return the due date of a block that was calibrated at times `when` (n,).
 
-    `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
-    same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
-    direction. If the history is too short to show drift, `interval_days` determines the date. The result
-    repeats `simulated`. Raises `CalibrationError` if there is no calibration, or if K of the last one is singular.
+    `vector` (n, 12) are the coefficients, per local g, and `covariance` (n, 12, 12) their stated covariances.
+    `u_meters` (n, 12) is the part of u that recurs with the same meters; None if the meters differ. `limit_g` is
+    the permitted error, in g, of a measurement of 1 g in any direction. If the history is too short to show drift,
+    `interval_days` determines the date. `simulated` is copied into the result. Raises `CalibrationError` if there
+    is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

@@ -50,7 +50,10 @@ class Participants:
         return np.eye(int(self.bench.max()) + 1)[self.bench]
 
     def with_dark(self, dark: float) -> Floats:
-        """Return the covariance (n, n) with an additional independent error `dark` (1 σ) of each bench."""
+        """Return the covariance (n, n) with an independent error of each bench added.
+
+        `dark` is the standard deviation of this error.
+        """
         return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
 
     @cached_property
@@ -429,11 +432,11 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
+    """Return the standard deviation (m,) of each number of a travelling unit between stops, in excess of its u.
 
-    The result is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within
-    u. If no change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few
-    returns must not widen u by chance.
+    It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If no
+    change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few returns
+    must not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False

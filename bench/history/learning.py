@@ -112,7 +112,10 @@ class Weighed:
 
 
 def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
-    """Return the restricted likelihood at variances (k,) in units of the stated ones; harmonics have no prior."""
+    """Return the restricted likelihood at variances (k,), which are divided by the stated variances.
+
+    Harmonics of the head have no prior.
+    """
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
     whole = weighed.whole
@@ -135,9 +138,9 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 
 
 def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floats:
-    """Return the non-negative variances (k,) that maximise the likelihood, by Fisher scoring in relative steps.
+    """Return the non-negative variances (k,) that maximise the likelihood, divided by the stated variances.
 
-    They are in units of the stated ones.
+    The method is Fisher scoring in relative steps.
     """
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
@@ -182,7 +185,10 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Test each run for each kind of contradiction; return all results with Holm's p, the smallest first."""
+    """Test whether each run contradicts the others in stand angles, in misfit or in scatter of repeats.
+
+    Return the results of all tests with Holm's p-values, the smallest first.
+    """
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))
@@ -281,9 +287,9 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """The runs that agree, with their sums and noise (4,), and the contradicting runs.
+    """The runs that agree with one another, their sums and noise (4,), and the contradicting runs.
 
-    `most` is true if too many runs contradict.
+    `most` is true if more than the fraction `MOST_PART` of the runs contradict.
     """
 
     runs: list[RunFit]
@@ -363,10 +369,10 @@ def learn(
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
-    """Return the beliefs in which undetermined variances are fixed at their prior, with reasons by kind of angle.
+    """Return the beliefs with each undetermined variance fixed at its prior, and the reasons by kind of angle.
 
-    Among variances that cannot be separated, the one with the smallest stated size is fixed first, and so on until
-    the others are determined.
+    Among variances that cannot be separated, the one with the smallest stated u is fixed first, and so on until the
+    remaining variances are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):

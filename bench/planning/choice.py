@@ -169,7 +169,10 @@ class NoiseScale:
 
     @property
     def size(self) -> float:
-        """The estimated ratio; the stated noise counts as a prior with `BELIEVED` degrees of freedom."""
+        """The estimated ratio of the noise to the stated noise.
+
+        The stated noise counts as a prior with `BELIEVED` degrees of freedom.
+        """
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
@@ -184,9 +187,10 @@ NOTHING_KNOWN: Final = NoiseScale()
 
 
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
-    """Return the noise scale from `readings`, by the residuals of a linear fit of block and stand.
+    """Return the ratio of the noise of `readings` to the stated noise, by the residuals of a linear fit.
 
-    The readings need not determine all coefficients; readings of a single mounting leave residuals, too.
+    The fit has the coefficients of the block and the angles of the stand. The readings need not determine all
+    coefficients; readings of a single mounting leave residuals, too.
     """
     own = readings.oriented()
     if not len(own):

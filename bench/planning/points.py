@@ -130,7 +130,7 @@ class ChosenPoints:
         return worst(self.promise.goals, self.promise.readings)
 
     def u(self, goal: Goal) -> float:
-        """Return the standard uncertainty of a goal of the promise, as a calibration will state it."""
+        """Return the standard uncertainty that a calibration will state for a goal of the promise."""
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:

@@ -316,9 +316,10 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest standard uncertainty `u` of a source with which the accuracy is still met.
+    """The largest standard uncertainty `u` of an error source with which the accuracy is still met.
 
-    `u` is infinite if any size is acceptable, None if the accuracy is not met even at size zero.
+    `u` is infinite if the accuracy is met with any u of the source, and None if it is not met even without the
+    source.
     """
 
     source: ErrorSource
@@ -364,10 +365,10 @@ class Requirement:
         return (self.accuracy / self.k) ** 2
 
     def by_point(self, sizes: Mapping[str, float]) -> Floats:
-        """Return the variances (points, sources), with the standard uncertainties `sizes` by source name.
+        """Return the variances of the target at each point by source, (points, sources).
 
-        Sources without an entry keep their size in the bench file. The estimator weights the readings by these
-        sizes.
+        `sizes` holds standard uncertainties by name of source. A source without an entry keeps its u from the bench
+        file. The estimator weights the readings by these uncertainties.
         """
         sized = [s.sized(sizes[s.name]) if s.name in sizes else s for s in self.sources]
         return self.target(make_budget(self.setup, sized, self.estimator))
@@ -378,10 +379,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point.
-
-        For `sizes` see `by_point`.
-        """
+        """Return k u of the target at the worst point, with the standard uncertainties `sizes` as in `by_point`."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -402,7 +400,7 @@ class Requirement:
     # --- each alone ---------------------------------------------------------------------------------
 
     def alone(self, source: ErrorSource) -> Limit:
-        """Return the limit of one source if all others keep their sizes in the bench file."""
+        """Return the limit of one source while all other sources keep their u from the bench file."""
 
         def excess(u: float) -> float:
             return float(self.variances({source.name: u}).sum()) / self.allowed2 - 1.0
@@ -438,13 +436,13 @@ class Requirement:
     # --- all together -------------------------------------------------------------------------------
 
     def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
-        """Return sizes of the named sources with which the accuracy is just met.
+        """Return standard uncertainties of the named sources with which the accuracy is just met.
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
         judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        its size in units of the size in the bench file; the total cost is least if the parts are proportional to
-        (weight × present contribution)^(2/3). A source that stays below its part at any size has no limit; the
-        others share its part. Raises `CalibrationError` if nothing is left to share.
+        the ratio of its new u to its u in the bench file. The total cost is least if the parts are proportional to
+        (weight × present contribution)^(2/3). A source that stays below its part at any u has no limit; the
+        remaining sources share its part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

@@ -195,7 +195,10 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had two level readings."""
+    """Return the rms rates of change of α1 and α2, rad/s, from text columns.
+
+    Return None if no mounting had two level readings.
+    """
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]

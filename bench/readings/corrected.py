@@ -30,8 +30,8 @@ AGAIN: Final = 4
 class Corrections:
     """Corrections of head angles, temperatures and signals; a signal U becomes U (1 + `gain`) + `offset_v`.
 
-    `head` lists (angle, correction), rad, periodic over one turn; `thermometer` lists (temperature in °C,
-    correction in K), and its end values hold beyond the ends.
+    `head` lists pairs (angle, correction), rad, and repeats every turn. `thermometer` lists pairs (temperature in
+    °C, correction in K). Beyond the listed temperatures, the correction is that of the nearest listed one.
     """
 
     gain: tuple[float, float, float] = (0.0, 0.0, 0.0)

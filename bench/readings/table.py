@@ -106,7 +106,7 @@ class Readings:
 
     @property
     def resolution(self) -> float:
-        """The last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
+        """The value of the last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
 
         The signals are means, which may have one more digit than their samples.
         """

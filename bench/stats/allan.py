@@ -162,9 +162,9 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 class NoiseTerm:
     """A noise term: symbol, name, unit (relative to that of the signal), and contribution to sigma^2.
 
-    A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this term
-    prevails.
+    A term with the coefficient x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its
+    spectrum. `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this
+    term prevails.
     """
 
     symbol: str

@@ -111,13 +111,13 @@ class Crossing:
 
 @dataclass(frozen=True)
 class MixedModelEquations:
-    """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
+    """The mixed model equations for groups and benches, solved at given `sizes`, with the units eliminated.
 
-    `w` (n,) are weights; `W` (U,) is the sum of the weights of each unit; `s` (U,) is the term that the
-    elimination of each unit subtracts. `lower` (T + B, T + B) is the Cholesky factor of the equations for T
-    groups and B benches; each bench's column is multiplied by the size of benches. `solution` (T + B,) are the
-    means of groups, then the bench effects divided by their size. `likelihood` is the restricted log likelihood,
-    up to a constant.
+    `sizes` (3,) are standard deviations of unit effects, bench effects and excess. `w` (n,) are weights; `W` (U,)
+    is the sum of the weights of each unit; `s` (U,) is the term that the elimination of each unit subtracts.
+    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches. The unknowns,
+    `solution` (T + B,), are the means of groups, then the bench effects divided by their standard deviation.
+    `likelihood` is the restricted log likelihood, up to a constant.
     """
 
     crossing: Crossing
@@ -136,7 +136,7 @@ class MixedModelEquations:
 
     @cached_property
     def bench_covariance(self) -> Floats:
-        """Covariance (B, B) of the prediction errors of bench effects, for known sizes."""
+        """Covariance (B, B) of the prediction errors of bench effects, if the standard deviations are known."""
         inverse = linalg.cho_solve((self.lower, True), np.eye(len(self.lower)))
         own = inverse[self.crossing.groups :, self.crossing.groups :]
         return np.asarray(self.sizes[BENCH] ** 2 * own)
@@ -190,9 +190,10 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
 
 
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
-    """Solve the equations for values `y` (n,) with stated `variance` (n,) and sizes (3,), 1 sigma.
+    """Solve the equations for values `y` (n,) with stated variances `variance` (n,).
 
-    If the size of units is infinite, the units are fixed effects, and only differences within units count.
+    `sizes` (3,) are the standard deviations of unit effects, bench effects and excess. If that of the units is
+    infinite, the units are fixed effects, and only differences within units count.
     """
     w = 1.0 / (variance + sizes[EXCESS] ** 2)
     W = np.bincount(crossing.unit, w, crossing.units).astype(np.float64)
@@ -233,10 +234,11 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 
 @dataclass(frozen=True)
 class Crossed:
-    """The estimated sizes of units, benches and excess for one coefficient.
+    """The estimated standard deviations of unit effects, bench effects and excess for one coefficient.
 
-    `at` are the equations solved at these sizes. `y` (n,) are the values minus `centre`, `variance` (n,)
-    their stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
+    `at` are the equations solved at these standard deviations. `y` (n,) are the values minus `centre`, `variance`
+    (n,) their stated variances. `variance_covariance` (3, 3) is the covariance of the squares of the estimated
+    standard deviations.
     """
 
     at: MixedModelEquations
@@ -247,12 +249,12 @@ class Crossed:
 
     @property
     def sizes(self) -> Floats:
-        """Sizes of units, benches and excess, 1 sigma, (3,)."""
+        """Standard deviations (3,) of unit effects, bench effects and excess."""
         return self.at.sizes
 
     @property
     def u_sizes(self) -> Floats:
-        """Standard uncertainties of the sizes (3,); NaN for a size of zero."""
+        """Standard uncertainties (3,) of the estimated standard deviations; NaN for an estimate of zero."""
         u = np.sqrt(np.diag(self.variance_covariance))
         return np.where(self.sizes > 0, u / (2.0 * np.where(self.sizes > 0, self.sizes, 1.0)), np.nan)
 
@@ -291,10 +293,11 @@ def fit(
     without: int | None = None,
     units_fixed: bool = False,
 ) -> Crossed:
-    """Return the sizes that maximise the restricted likelihood for values (n,) with stated variances (n,).
+    """Return the standard deviations of greatest restricted likelihood for values (n,).
 
-    `without` is the index of a size held at zero. With `units_fixed` only differences within units count,
-    and the size of units is infinite.
+    `variance` (n,) are the stated variances of the values. `without` is the index of a standard deviation that is
+    fixed at zero. With `units_fixed` only differences within units count, and the standard deviation of units is
+    infinite.
     """
     centre = float(np.median(values))
     y = values - centre
@@ -325,7 +328,10 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the upper 95 % limit of size `which` (unit, bench or excess), by the profile likelihood."""
+    """Return the upper 95 % limit of one standard deviation, by the profile likelihood.
+
+    `which` is its index: unit, bench or excess.
+    """
     at = found.at
     fixed = np.isinf(found.sizes)
 

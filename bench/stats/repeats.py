@@ -59,9 +59,9 @@ class Term:
 class Repeats:
     """The scatter of values between repeats, compared with their u.
 
-    `scatter` is about the means of all repeats. `held_before` and `held_after` are the ratios for repeats
-    left out: before with u as stated, after with the u that `term` widens. They are None for fewer than three
-    repeats. `term` is None if the stated u is large enough.
+    `scatter` is the scatter about the means of all repeats. For `held_before` and `held_after`, each repeat is left
+    out and predicted from the remaining repeats: `held_before` uses the stated u, `held_after` the u that `term`
+    widens. Both are None for fewer than three repeats. `term` is None if the stated u is large enough.
     """
 
     scatter: float

@@ -45,16 +45,19 @@ class Subsystem(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: its unit in files, the size of this unit in SI, a plausible value (1 sigma) in SI.
+    """A parameter of an effect: its `unit` in files, the SI value of this unit, and a plausible value in SI.
 
-    A `per_channel` parameter has a value for each of x, y, z, zero for a channel without the effect. A parameter
-    with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
-    in a shape: a fit holds it fixed, and the diagnosis tries each grid value. An unstated shape has the value
-    `default`.
+    The plausible value is a standard deviation. A `per_channel` parameter has a value for each of x, y, z, zero for
+    a channel without the effect. There are three kinds of parameters: sizes, shapes and starting states. The effect
+    is proportional to a size.
 
-    A parameter with `start_of` is the state at the start of a mounting, which is new in every mounting and run;
-    `start_of` names the size to which it is in proportion (`Effect.start_spread`). A fit estimates it only if its
-    u is stated.
+    A shape has a `grid` of SI values; examples are a time constant, a width or a harmonic. The readings are not
+    linear in a shape. A fit therefore keeps it constant, and the diagnosis fits the effect with each value of the
+    grid. A shape that a file does not state has the value `default`.
+
+    A starting state is the state of the effect at the start of a mounting, with a new value in every mounting and
+    run. It is proportional to the size that `start_of` names (`Effect.start_spread`). A fit estimates a starting
+    state only if its u is stated.
     """
 
     name: str
@@ -68,12 +71,12 @@ class Parameter:
 
     @property
     def is_shape(self) -> bool:
-        """Whether the parameter determines the form of the effect and not its size."""
+        """Whether the parameter determines the form of the effect and not its amount."""
         return bool(self.grid)
 
     @property
     def is_size(self) -> bool:
-        """Whether the parameter determines the size of the effect: it is neither a shape nor a starting state."""
+        """Whether the effect is proportional to the parameter, which is neither a shape nor a starting state."""
         return not self.grid and not self.start_of
 
 
@@ -101,11 +104,11 @@ class Effect(ABC):
     `sentence` describes the effect; `shown_by` names a measurement that would show it; `shows_on` names the parts
     of the bench where it shows (`docs/generators/effects.py`). A `per_mount` effect may act in single mountings; if
     it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may act in single passes of a
-    mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the sets of parameters that a
-    diagnosis tries alone, with the others zero; if empty, it derives the sets from the names. `needs_history` is
-    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
-    `start_repeats` is true if the starting state follows from how the head is brought to its first setting, so that
-    other mountings repeat it.
+    mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the sets of parameters that
+    the diagnosis fits while the other parameters are zero; if it is empty, the names of the parameters determine
+    the sets. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path
+    of the head to the setting. `start_repeats` is true if the approach of the head to its first setting determines
+    the starting state, so that mountings with the same approach have the same state.
     """
 
     name: str
@@ -132,9 +135,10 @@ class Effect(ABC):
         """
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the standard deviation of the starting state of a mounting in units of the size, SI.
+        """Return the standard deviation of a mounting's starting state, as a multiple of its size parameter, SI.
 
-        The starting state is a parameter with `start_of`. An effect without one does not use this number.
+        The starting state is a parameter whose `start_of` names the size parameter. An effect without one does not
+        use this number.
         """
         del conditions
         return 1.0
@@ -222,7 +226,11 @@ def warmth_behind(conditions: Conditions, lag_s: float) -> Floats:
 
 
 def fading(conditions: Conditions, lag_s: float) -> Floats:
-    """Return the fraction (n,) of a deviation at the start of a mounting that is left after a first-order lag."""
+    """Return the fraction (n,) that remains, at each row, of a deviation at the start of its mounting.
+
+    The deviation decays as exp(-t / `lag_s`), with t since the first reading of the mounting; without a lag it is
+    0.
+    """
     if lag_s <= 0.0:
         return np.zeros(len(conditions))
     return np.asarray(np.exp(-conditions.since_mounting_s / lag_s))
@@ -235,7 +243,7 @@ def lag_of(*minutes: int) -> Parameter:
 
 
 def time_constant(*minutes: int) -> Parameter:
-    """Return the shape parameter "tau" of an exponential decay, of 20 min as a rule; its grid is the `minutes`."""
+    """Return the shape parameter "tau" of an exponential decay; its grid is the `minutes`, its default 20 min."""
     grid = tuple(m * MINUTE for m in minutes)
     return Parameter(
         "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False, grid=grid, default=20 * MINUTE
@@ -352,9 +360,10 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """An uncertain part of the shape of the effect `of`; a fit may estimate its one parameter, a size.
+    """A correction for the uncertain shape of the effect `of`: a multiple of a fixed sum of effects.
 
-    The effect adds this size times the sum of `parts`, which are effects with fixed values.
+    The effects `parts` have fixed values. The only parameter is the factor on their sum, which a fit may estimate.
+    Raises `ValueError` if the parts act at different stages.
     """
 
     name: str
@@ -384,12 +393,12 @@ class InPart(Effect):
         return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the size times the sum of the parts (see `Effect.addition`)."""
+        """Return the factor times the sum of the parts (see `Effect.addition`)."""
         whole = np.sum([applied.addition(seen) for applied in self.parts], axis=0)
         return np.asarray(values[PART] * whole)
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return part `number` of the shape of the effect `of`; the part has the size `value` with uncertainty `u`."""
+    """Return correction `number`, of factor `value` with uncertainty `u`, for the shape of the effect `of`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

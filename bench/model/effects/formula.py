@@ -248,7 +248,10 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """An interpretation of an expression as its degree in the sizes, 0 or 1; each term must have degree 1."""
+    """An interpretation of an expression as its degree in the size parameters, 0 or 1.
+
+    The addition of an effect must have degree 1 in each of its terms.
+    """
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
