@@ -226,8 +226,9 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
 
 
 def above_zero(why: str) -> AfterValidator:
-    """Return a validator that rejects 0 with the sentence `why`: `Annotated[SizeV, above_zero("state a drift above
-    0")]`.
+    """Return a validator that rejects 0 with the sentence `why`.
+
+    For example: `Annotated[SizeV, above_zero("state a drift above 0")]`.
     """
 
     def check(size: float) -> float:

@@ -395,15 +395,19 @@ class FileModel(BaseModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use instead of this one, such as one model per driver; none by
-        default.
+        """Return the models that a file may use instead of this one; none by default.
+
+        An example is a model for each driver.
         """
         return ()
 
 
 @dataclass
 class Document:
-    """A parsed file: `data` of mappings, lists and texts (None for empty values), `text`, the lines of places."""
+    """A parsed file: its data, its `text`, and the lines of its places.
+
+    `data` consists of mappings, lists and texts; an empty value is None.
+    """
 
     path: Path
     data: Any

@@ -273,7 +273,10 @@ class _Column:
 
 
 def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
-    """Return the fit of each column and its test; units are fixed effects if they were not assigned at random."""
+    """Return the fit of each column and the test of its allotment.
+
+    Units are fixed effects if they were not assigned to benches at random.
+    """
     found = [column.fit() for column in columns]
     allotted = [allotment(one) for one in found]
     p = holm(np.array([one.p for one in allotted]))

@@ -127,9 +127,9 @@ class Snapshot:
 
     @property
     def _wander_from_start(self) -> Floats:
-        """The covariance (12, 12) of how far the biases wander between the start of the run and their mean over it.
+        """The covariance (12, 12) of the change of the biases from the start of the run to their mean.
 
-        For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
+        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
         """
         between = np.zeros(len(self.vector))
         if self.wander is not None:
@@ -282,7 +282,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
 
 
 def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence[datetime]) -> InNumbers:
-    """Compare the numbers `names` of snapshots `there` with the first; without `dates`, give no drift."""
+    """Compare snapshots, `there`, with the first of them in the numbers `names`; without `dates`, give no drift."""
     alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
@@ -418,7 +418,10 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
-    """Return the part (0 to 1) of the meters' limits by which their errors may differ between two calibrations."""
+    """Return the largest possible difference of the meters' errors between two calibrations.
+
+    It is stated as a fraction, 0 to 1, of the meters' limits.
+    """
     return drifted((first.meters, first.when), (later.meters, later.when))
 
 
@@ -469,8 +472,9 @@ class Joint:
     place: Ints
 
     def of_sums(self, weights: Floats) -> Floats:
-        """Return the covariance (12, 12) of weighted sums over calibrations; `weights` (12, n), a row per
-        coefficient.
+        """Return the covariance (12, 12) of weighted sums over calibrations.
+
+        `weights` (12, n) has a row for each coefficient.
         """
         found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
         meters = weights.T[:, :, None] * self.meters

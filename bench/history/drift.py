@@ -236,7 +236,7 @@ class _History:
 
     @cached_property
     def _scales(self) -> tuple[Floats, Floats]:
-        """The scales (12,) of the scatter, and of the random walk in a root year."""
+        """The scales (12,): standard deviations of the scatter, and of the random walk in the root of a year."""
         line = np.stack([np.ones_like(self.years), self.years], axis=1)
         left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
         scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
@@ -324,8 +324,9 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest node of relevant density, (2, 12) each, extended by one node on either
-    side.
+    """Return the lowest and the highest node with a relevant density, (2, 12) each.
+
+    The range is extended by one node on either side.
     """
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
@@ -340,7 +341,7 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return one element (12,) of each row of `values` (12, g): that at `index` (12,)."""
+    """Return, for each row of `values` (12, g), its element at `index` (12,), shape (12,)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 

@@ -30,8 +30,9 @@ METHODS: Final = (WEIGHTED_MEAN, MANDEL_PAULE, DERSIMONIAN_LAIRD)
 
 @dataclass(frozen=True)
 class Participants:
-    """Values `y` (n,) with their covariance (n, n); `unit` (n,) and `bench` (n,) are the indices of unit and
-    bench.
+    """Values `y` (n,) with their covariance (n, n), each of one unit on one bench.
+
+    `unit` (n,) and `bench` (n,) are the indices of unit and bench.
     """
 
     y: Floats
@@ -453,11 +454,11 @@ def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
 def against_others(
     values: Floats, covariances: Floats, transport: Floats | None = None
 ) -> tuple[LaboratoryJudged, ...]:
-    """Compare each of n laboratories, `values` (n, m) with `covariances` (n, m, m), with the consensus of the
-    others.
+    """Compare each of n laboratories with the Mandel-Paule consensus of all other laboratories.
 
-    `transport` (m,) is the scatter of the unit's state between laboratories (`transport_dark`), which widens u.
-    Raises `CalibrationError` for fewer than three laboratories, because two cannot show which one deviates.
+    `values` (n, m) have the `covariances` (n, m, m). `transport` (m,) is the standard deviation of the unit's state
+    between laboratories (`transport_dark`), which widens u. Raises `CalibrationError` for fewer than three
+    laboratories, because two cannot show which one deviates.
     """
     n, m = values.shape
     if transport is not None:

@@ -195,7 +195,10 @@ class Learned:
 
 
 def _u(size: float, dof: float) -> float:
-    """Return the u of a standard deviation; for few degrees of freedom, the distance to its upper limit."""
+    """Return the u of a standard deviation `size` with `dof` degrees of freedom.
+
+    With few degrees of freedom it is the increase of `size` if the variance grows by its u.
+    """
     if dof > FEW_DOF:
         return float(size / np.sqrt(2.0 * (dof - 2.0)))
     return float(size * (np.sqrt(1.0 + np.sqrt(2.0 / max(dof, 1e-30))) - 1.0))
@@ -481,7 +484,7 @@ class _Design:
 
 
 def _beyond(y: Floats, X: Floats, known: Floats) -> tuple[float, float]:
-    """Return the variance of each reading beyond the stated covariance `known`, and its standard uncertainty.
+    """Return the variance of each reading in excess of the covariance `known`, and its standard uncertainty.
 
     Restricted likelihood, with `X` as fixed effects, gives the variance; it is widened for its dof and never zero.
     """

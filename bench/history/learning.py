@@ -40,10 +40,11 @@ MOST_CHANGE: Final = 5.0
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Prior beliefs: the precision (m,) of the means, in units of their stated u, and beliefs about variances.
+    """Prior beliefs about the means and about the variances.
 
-    `centre` (k,) and `spread` (k,) are the mean and the standard deviation of each variance that keeps its prior;
-    they are NaN for a variance that is estimated from the runs.
+    `precision` (m,) is the stated variance of each mean divided by its prior variance. `centre` (k,) and `spread`
+    (k,) are the mean and the standard deviation of each variance that keeps its prior. They are NaN for a variance
+    that is estimated from the runs.
     """
 
     precision: Floats
@@ -264,9 +265,9 @@ def _scatter(runs: list[RunFit]) -> list[Contradiction]:
 def _held_against(
     names: tuple[str, ...], ratio: Floats, dof: Floats, what: str, *, upper: bool
 ) -> list[Contradiction]:
-    """Test each of several mean squares, with degrees of freedom `dof`, against the others.
+    """Test each of several mean squares against the remaining ones; `dof` are their degrees of freedom.
 
-    The test allows for the variation between the other runs. It is one-sided with `upper`, otherwise two-sided.
+    The test allows for the variation between the remaining runs. It is one-sided with `upper`, otherwise two-sided.
     """
     usable = np.flatnonzero(dof > 0)
     found = []

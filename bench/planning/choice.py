@@ -112,7 +112,7 @@ def _run(
 def _after(
     chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
-    """Return the state of the simulated run after the chosen points; its noise is rounded by `_grained`."""
+    """Return the simulated state of the run after the chosen points, with its noise rounded by `_grained`."""
     chi2, dof = sums[0] + sums[1]
     size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return two degrees of freedom of the noise: from repeats, and from the model's other residuals."""
+    """Return the degrees of freedom of the noise from repeats, and those from all other residuals of the model."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -149,7 +149,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale for an estimate `size` of the ratio with `dof` degrees of freedom."""
+    """Return the `NoiseScale` whose ratio of the noise to the stated noise is `size`."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 

@@ -75,7 +75,7 @@ class Sites:
         return SettingPool(self._rows[np.ix_(rows, np.arange(3), columns)])
 
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
-        """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
+        """Yield sets of mountings, as tuples of indices, small sets first; of equivalent sets only the first.
 
         Two mountings are equivalent if the same block axes lie along and across the shaft, up to sign. The block
         then has the same orientations in both mountings, at different head angles.

@@ -220,7 +220,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal by which a design is judged from its readings alone; its floor includes `hidden`."""
+        """The goal for a covariance from the readings alone; its floor includes `hidden`."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property

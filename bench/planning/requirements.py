@@ -172,7 +172,7 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return which coefficients, and which `ANGLES` of each mounting, readings at these settings determine.
+    """Return the coefficients, and the stand angles `ANGLES` of each mounting, that these settings determine.
 
     Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
     each installation is analysed. Raises `KeyError` for an installation that the model lacks.
@@ -276,7 +276,7 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each
 def of_delta_g(*, reading: bool) -> Target:
     """Return Δg at the verification points as the target.
 
-    With `reading`, the errors of the readings there count, too.
+    With `reading`, the target includes the errors of the readings at these points.
     """
 
     def variances(budget: Budget) -> Floats:
@@ -424,7 +424,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two sizes, a factor of ten apart, between which `excess` changes its sign."""
+        """Return two standard uncertainties between which `excess` changes its sign, at most a factor of ten apart."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10
@@ -484,7 +484,7 @@ class Requirement:
     def _settled(
         self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
     ) -> list[Limit]:
-        """Return all limits, with sizes scaled by a common factor with which the accuracy is just met."""
+        """Return all limits after scaling their u by a common factor, so that the accuracy is just met."""
 
         def excess(log_factor: float) -> float:
             scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}
@@ -504,5 +504,5 @@ class Requirement:
 
 
 def _factor(variance: float, allowed: float) -> float:
-    """Return the factor by which a size must change so that its variance becomes `allowed`."""
+    """Return the factor by which the u of a source must change so that its variance becomes `allowed`."""
     return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

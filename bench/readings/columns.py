@@ -277,10 +277,10 @@ ROOM_C: Final = "room_c"
 
 
 def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the temperature of the voltmeters or, if never recorded, of the room: °C, shape (n,), NaN where
-    unknown.
+    """Return the temperature of the voltmeters, °C, shape (n,), NaN where unknown.
 
-    `extra` are the text columns of a table. Returns None if neither temperature is recorded.
+    If it was never recorded, the temperature of the room takes its place. `extra` are the text columns of a table.
+    Returns None if neither temperature is recorded.
     """
     own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
     return None if own is None else numbers(extra[own])

@@ -187,7 +187,7 @@ def _mounting_level(
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return the angle at the middle time between two readings, its u, and the rms of its rate of change.
+    """Return the angle at the middle time between two level readings, its u, and its rms rate of change.
 
     The angle is assumed to change linearly. The rate has the prior 0 ± `FOUNDATION`; if the readings refute this
     prior (`REFUTED`), it becomes 0 ± the observed rate.

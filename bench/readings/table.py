@@ -300,8 +300,9 @@ def _clock_s(table: Readings) -> Floats:
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order of time, the times of their first readings, s, and whether these times are
-    measured.
+    """Return the tables in order of time, the times of their first readings, and whether these are measured.
+
+    The times are in s.
     """
     clocks = [(part, _clock_s(part.readings)) for part in parts]
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in clocks}

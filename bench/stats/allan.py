@@ -150,8 +150,9 @@ def _covariance(t: Floats, alpha: int, width: float) -> Floats:
 
 
 def _kernel(t: Floats, alpha: int) -> Floats:
-    """Return |t|^(3 - alpha), times ln |t| for odd alpha: the covariance of phases `t` (…) apart, up to
-    its sign.
+    """Return the covariance of two phases that are `t` (…) averages apart, up to its sign.
+
+    It is |t|^(3 - alpha), for odd alpha multiplied by ln |t|.
     """
     size = np.abs(t)
     power = size ** (3 - alpha)
@@ -194,8 +195,8 @@ class NoiseTerms:
     """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
     `freedom` (k,) are the degrees of freedom of the curve's values. `p` is the p-value of the misfit; it is small
-    if the spectrum has lines (vibration), which these terms do not describe. If it is below 0.001, the covariance
-    is widened by the misfit (Birge ratio).
+    if the spectrum has lines (vibration), which these terms do not describe. If `p` is below 0.001, the covariance
+    is multiplied by the reduced chi-square of the misfit (squared Birge ratio).
     """
 
     squares: Floats
@@ -277,7 +278,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """Return the Allan variance of each noise term of size 1 at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance of each noise term of coefficient 1 at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)

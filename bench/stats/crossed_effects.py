@@ -100,7 +100,7 @@ class Crossing:
 
     @cached_property
     def repeated(self) -> int:
-        """Number of values beyond the first of each unit: degrees of freedom within units."""
+        """Degrees of freedom within units: the number of values beyond the first of each unit."""
         return len(self.unit) - self.units
 
     def alone(self) -> Ints:
@@ -346,9 +346,10 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough standard deviations (3,) of unit effects, bench effects and excess scatter from `y` (n,).
+    """Return rough standard deviations (3,) of unit effects, bench effects and excess from values `y` (n,).
 
-    That of the units is the spread of their means; the two others are the spread within units.
+    The first is the standard deviation of the units' means about the mean of their group. The second and the third
+    are both the standard deviation within units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
@@ -361,7 +362,10 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
 
 
 def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
-    """Return the covariance (3, 3) of the estimated squared sizes; zero where a size is zero or infinite."""
+    """Return the covariance (3, 3) of the estimated variances of units, benches and excess.
+
+    It is zero for a variance that is zero or infinite.
+    """
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))
     if len(free):

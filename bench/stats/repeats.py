@@ -125,7 +125,7 @@ def _widening(freedom: float) -> float:
 
 
 def _kernel(u: Floats, name: TermName | None) -> Floats:
-    """Return the covariances (g, r, r) that a term of size 1 adds; zero for a missing repeat."""
+    """Return the covariances (g, r, r) that the term `name` adds if its `size` is 1; zero for a missing repeat."""
     groups, repeats = u.shape
     there = np.isfinite(u)
     match name:
@@ -169,9 +169,10 @@ def _size(value: Floats, u: Floats, name: TermName) -> float:
 
 
 def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
-    """Predict each repeat from the others; return the squared errors divided by their variances, and ln p.
+    """Predict each repeat from the remaining repeats; return the squared errors, and ln p.
 
-    The squared errors are (g, r, c), NaN without a prediction. p is the joint probability density of the repeats.
+    The squared errors (g, r, c) are divided by their variances; they are NaN without a prediction. p is the joint
+    probability density of the repeats.
     """
     squares, log_p = np.full(value.shape, np.nan), 0.0
     repeats = value.shape[1]

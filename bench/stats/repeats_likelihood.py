@@ -242,9 +242,9 @@ def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
 
 
 def _shown(variance: Floats, slope2: Floats) -> Floats:
-    """Return the setting variance, rad^2, that causes `variance` in signals of mean squared slope `slope2`.
+    """Return the variance of the setting, rad^2, that causes the `variance` of the signals, unit^2.
 
-    It is 1 where the slope is zero.
+    `slope2` is the mean squared slope of the signals; the result is 1 where it is zero.
     """
     return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
 

@@ -34,7 +34,7 @@ class Stage(StrEnum):
 class Subsystem(StrEnum):
     """The part of the bench to which an effect belongs.
 
-    Of two explanations in one part, the diagnosis prefers the simpler.
+    If two effects of one part explain the readings, the diagnosis prefers the simpler.
     """
 
     BLOCK = "block"
@@ -306,7 +306,10 @@ class AppliedEffect:
     either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters, with zero sizes and default shapes filled in."""
+        """Return the values of all parameters of the effect.
+
+        A missing shape has its default; any other missing parameter is zero.
+        """
         return {
             p.name: np.asarray(
                 self.values[p.name]

@@ -29,7 +29,10 @@ from bench.model.effects.base import (
 
 
 def _size(name: str, unit: str, plausible: float) -> Parameter:
-    """Return a per-channel parameter; for the `unit` "ug/g^2", its `plausible` size is in g/g^2."""
+    """Return the parameter of an effect's amount in each channel, which a file states in `unit`.
+
+    `plausible` is in SI, for example in g/g^2 if the `unit` is "ug/g^2".
+    """
     return Parameter(name, unit, 1e-6, plausible, per_channel=True)
 
 
@@ -258,15 +261,15 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 def _start(unit: str, plausible: float, start_of: str) -> Parameter:
-    """Return the parameter of what a lagged effect adds at the start of a mounting, beyond that in equilibrium."""
+    """Return the parameter for the excess of a lagged effect over its equilibrium at the start of a mounting."""
     return Parameter("start", unit, 1e-6, plausible, per_channel=True, start_of=start_of)
 
 
 class LaggedEffect(BlockEffect):
-    """An effect of T, the temperature after a first-order lag, minus the reference.
+    """An effect proportional to T, the temperature after a first-order lag, minus the reference.
 
-    Its state at the start of a mounting is unknown. The first parameter is its size per kelvin: a bias or, with
-    `of_scale`, a change of the scale factor.
+    The state of the lag at the start of a mounting is unknown. The first parameter is the effect per kelvin: a bias
+    or, with `of_scale`, a relative change of the scale factor.
     """
 
     of_scale: ClassVar[bool] = False
