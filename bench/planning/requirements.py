@@ -424,7 +424,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two standard uncertainties between which `excess` changes its sign, at most a factor of ten apart."""
+        """Return two standard uncertainties, a factor of ten apart or less, where `excess` has opposite signs."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10

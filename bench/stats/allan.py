@@ -285,7 +285,10 @@ def _columns(tau_s: Floats) -> Floats:
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return the terms' squared sizes to start from: equal nonzero parts of the mid-curve variance."""
+    """Return start values for the squared coefficients of the terms.
+
+    Each term contributes an equal part of the variance in the middle of the curve.
+    """
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 
