@@ -35,8 +35,8 @@ FLAT: Final = 1e3
 class Allotment:
     """A Hausman test of the hypothesis that units were assigned to benches at random: `chi2` with `dof`.
 
-    The test compares two estimates of the differences between benches. One uses differences within units only; the
-    other also uses the means of units. Only the second estimate is biased by a bench that measures units unlike
+    The test compares two estimates of the differences between benches. The first uses only differences within
+    units. The second uses the means of units as well, and is therefore biased if a bench measures units unlike
     those of other benches. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 

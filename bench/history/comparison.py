@@ -140,9 +140,9 @@ class Snapshot:
         """Return the snapshot with the covariance that applies to a comparison with the calibration `first`.
 
         The covariance of the difference is the sum of the covariances of `self.against(first)` and
-        `first.against(first)`. Gain and offset of the same meters cancel within a day, and less as time passes:
-        after `METERS_DRIFT` they may lie anywhere within their limits. Errors of different or unidentified meters
-        never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
+        `first.against(first)`. The errors of the same meters in gain and offset cancel if both calibrations are
+        within a day. They cancel less as more time passes, and not at all after `METERS_DRIFT`. Errors of different
+        or unidentified meters never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._wander_from_start
@@ -436,8 +436,9 @@ SECONDS_PER_DAY: Final = 86400.0
 def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
     """Return, for each of m numbers, the covariance between n calibrations, (m, n, n).
 
-    Calibrations share the gains and offsets of the same meters (less as time passes, and none from `METERS_DRIFT`
-    on), the K2 and K3 of the same block, and the error of g at one place. All scale factors must be per the same g.
+    Calibrations with the same meters share the errors of their gains and offsets: less as time passes, and none
+    from `METERS_DRIFT` on. Calibrations of the same block share the errors due to its K2 and K3. Calibrations at
+    one place share the error of g. All scale factors must be per the same g.
     """
     n = len(snapshots)
     found = np.zeros((len(snapshots[0].vector), n, n))

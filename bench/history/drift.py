@@ -42,11 +42,12 @@ PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 class UnitDrift:
     """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`, or (9,).
 
-    `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
-    their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
-    `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for the number of
-    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `rate` with standard uncertainty `u_rate` is per year. `between` is the standard deviation between calibrations
+    in excess of their stated u, `walk` that of a random walk in a year. Both maximise the restricted likelihood and
+    are 0 if not detected; `between_most` and `walk_most` are their upper 95 % limits. `first` and `last` are the
+    dates of the first and last calibration, `count` is their number. `p_all_looks` is the p-value of the rate with
+    Bonferroni's correction for the number of coefficients. `states` serve to predict; `common` is the u of errors
+    that all calibrations share.
     """
 
     rate: Floats

@@ -262,9 +262,9 @@ def together(
 ) -> tuple[JointDifference, ...]:
     """Return the chi-square tests of m vectors of differences (m, p) with standard uncertainties `u` (m, p).
 
-    `of_errors` (m, p) is the part of `u`, in quadrature, from calibration errors; `errors` (m, p, p) gives only
-    the correlations of this part. The rest of `u`, such as the dark uncertainty, counts as uncorrelated among
-    the p numbers.
+    `u` combines two parts in quadrature: `of_errors` (m, p), due to calibration errors, and a rest, such as the
+    dark uncertainty. The correlations of the first part are those of the covariances `errors` (m, p, p). The rest
+    counts as uncorrelated among the p numbers.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):

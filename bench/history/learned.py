@@ -309,7 +309,7 @@ class MeterDifferences:
                 yield b, first
 
     def sizes(self) -> Iterator[LearnedSize]:
-        """Yield the differences from the first meter of each group."""
+        """Yield the difference of each meter from the first meter of its group."""
         for what, contrasts, unit, scale in (
             ("gain", self.gain, "ppm", _PPM), ("offset", self.zero, "µV", _MICROVOLT)
         ):  # fmt: skip

@@ -218,12 +218,12 @@ TIME: Final = "time"
 class Standing:
     """The state of an adaptive run, as its record shows it.
 
-    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds
-    the first steps of the measured points, `done` how often each site was measured; `elapsed_s` is the bench
-    time. `refused` and `refused_mounts` are sites and mountings that the operator skipped. `now` maps planned
-    mountings to the mountings in use since the block was remounted. `reached` is the progress of the goals, empty
-    until the readings determine the coefficients. `apart` are sites that would distinguish the possible causes of
-    a misfit.
+    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds the
+    first step of each measured point, `done` how often each site was measured; `elapsed_s` is the bench time.
+    `refused` and `refused_mounts` are the sites and mountings that the operator skipped. After a remount of the
+    block, `now` maps the planned mountings to the mountings in use. `reached` is the progress towards the goals,
+    empty until the readings determine the coefficients. `apart` are sites at which further readings would
+    distinguish the possible causes of a misfit.
     """
 
     visit: int = -1
@@ -252,13 +252,14 @@ class Standing:
 class NextPoints:
     """The next points to measure, in the mounting with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps omitted as unnecessary; `taken_up` are steps of the present mounting that were omitted
-    before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its expected
-    states after these points and at the end of the run. `settings` counts the points measured so far, `repeats`
-    those that repeat a site. `next_s` is the time of the next points; `more` and `more_s` are the expected points
-    and time until the end, including the next ones. `rest_s` is the remaining time of the steps that no choice
-    affects. `pool_end` is the step after the last point. `not_needed` counts the points that a stopped run has
-    not measured. `telling_apart` says that points were chosen to distinguish the possible causes of a misfit.
+    `left_out` are the steps that the run omits as unnecessary; `taken_up` are steps of the present mounting that
+    were omitted before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its
+    expected states after these points and at the end of the run. `settings` counts the points measured so far,
+    `repeats` counts those of them that repeat a site. `next_s` is the time of the next points. `more` is the
+    expected number of points until the end, and `more_s` their time, both with the next points. `rest_s` is the
+    remaining time of the steps that no choice affects. `pool_end` is the step after the last point. `not_needed`
+    counts the points that a stopped run has not measured. `telling_apart` says that points were chosen to
+    distinguish the possible causes of a misfit.
     """
 
     visit: int

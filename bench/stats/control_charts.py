@@ -399,7 +399,10 @@ class Components:
 
 
 def components_of(values: Floats, covariance: Floats, noise: Floats) -> Components:
-    """Return the components of a baseline (m, p), m above 1, in which each run has `covariance` (p, p)."""
+    """Return the components of variability of a baseline (m, p) of more than one run.
+
+    Each run has the stated covariance `covariance` (p, p) and the noise `noise` (p,).
+    """
     runs, p = values.shape
     left = values - values.mean(axis=0)
     stated, scatter = u_of(covariance), values.std(axis=0, ddof=1)

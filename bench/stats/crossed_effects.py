@@ -1,14 +1,15 @@
 """Crossed random effects of units and benches on one coefficient of many calibrations.
 
 value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
-independent. A group is a type of unit on a connected set of benches. The sizes maximise the restricted likelihood.
+independent. A group is a type of unit on a connected set of benches. The "sizes" are the standard deviations of
+unit effects, bench effects and excess; they maximise the restricted likelihood.
 
 There are many units and few benches. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
 and benches (Schur complement). So the work is proportional to the number of values.
 
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
 A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar, D. A.
-Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions whose sizes are estimates).
+Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions with estimated sizes).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
 """A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this fraction of its scale is tried as zero, and stays zero unless the likelihood falls."""
+"""A size below this fraction of its scale is set to zero, unless the likelihood falls by that."""
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T. S
 are their sums of squares and products with f degrees of freedom; R_k is the derivative of R by variance k. Fisher
 scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
-closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all channels.
+closed form (Sherman and Morrison). A score test decides whether all channels have one variance.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc. 44
 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from zero.
 """

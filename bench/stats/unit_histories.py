@@ -1,7 +1,7 @@
 """A model of units measured over years on several benches: scatter, benches, drift rates and random walks.
 
 value = level of the unit + bench effect + rate of the unit x time + random walk + scatter + error of stated u, all
-normal and independent. Only contrasts within units count. The sizes maximise the restricted likelihood.
+normal and independent. Only contrasts within units count. The variances maximise the restricted likelihood.
 """
 
 from __future__ import annotations

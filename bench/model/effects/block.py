@@ -129,7 +129,7 @@ ROUNDED_G: Final = 0.01
 class BiasAsymmetry(BlockEffect):
     """Asymmetry (K0'/2) sign(a_i) of the bias, the sign smoothed over `ROUNDED_G`.
 
-    Outside a dead band of half-width w, the signal is as with K0' = -2 w.
+    A dead band of half-width w has the same effect outside the band as K0' = -2 w.
     """
 
     name = "bias_asymmetry"
@@ -350,8 +350,9 @@ class ThermalMisalignment(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """Decaying bias A exp(-t / tau), where t is the time since switch-on of the unit or, if unknown, since the
-    start of the run.
+    """Decaying bias A exp(-t / tau), where t is the time since the unit was switched on.
+
+    If that time is unknown, t is the time since the start of the run.
     """
 
     name = "warm_up"
