@@ -145,7 +145,7 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether the text is from a module, where it is looked up with its blanks already filled.
+        """Whether the text is from a module, which looks it up after filling its blanks.
 
         A template looks its texts up before it fills the blanks.
         """

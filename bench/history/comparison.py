@@ -210,10 +210,9 @@ class DriftLines:
 class InNumbers:
     """The changes of all later calibrations from the first, in the numbers `names`.
 
-    These are the nine intrinsic numbers or the twelve coefficients.
-
-    `p_constant` is the p-value of the hypothesis that all stayed constant. `drift` is None if dates are
-    missing, the calibrations are too few, or their time span is too short.
+    The numbers are the nine intrinsic ones or the twelve coefficients. `p_constant` is the p-value of the
+    hypothesis that all stayed constant. `drift` is None if dates are missing, the calibrations are too few, or
+    their time span is too short.
     """
 
     names: tuple[str, ...]

@@ -61,8 +61,8 @@ class Beliefs:
 class LikelihoodPoint:
     """The likelihood at given variances: -2 ln L, score (k,), information (k, k), means and their covariance.
 
-    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is the covariance of
-    both.
+    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is their joint
+    covariance.
     """
 
     minus_two_log: float
@@ -76,8 +76,9 @@ class LikelihoodPoint:
 class Weighed:
     """Sums of squares and products of (B, F, y) of each run, weighted for given variances.
 
-    `whole` (runs, w, w) are the sums weighted by V^-1, and `log_det` (runs,) is ln det V/R. R is the covariance
-    of the noise alone; V includes the shared variances. `RunSums` explains B, F and y; B has `columns` columns.
+    `whole` (runs, w, w) are the sums weighted by V^-1, and `log_det` (runs,) is ln det V/R. R is the covariance of
+    the noise alone; V includes the shared variances. `RunSums` explains B and y, `RunSums.by_mean` explains F; B
+    has `columns` columns.
     """
 
     whole: Floats

@@ -28,7 +28,8 @@ REMOUNT_S: Final = 1200.0
 class Mounting(NamedTuple):
     """One mounting of the block, during which the stand angles stay constant.
 
-    Its text is the installation, "2"; a series after the first is added: "2/3" is installation 2 in series 3.
+    As text it is the label of the installation, such as "2". From the second series on, the text includes the
+    series: "2/3" is installation 2 in series 3.
     """
 
     series: int

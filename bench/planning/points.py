@@ -373,7 +373,10 @@ class Times:
     warm_up_s: float = HOUR
 
     def cost(self, line_hz: float, *, verified: bool) -> Cost:
-        """Return the time of settings and mountings; `verified` adds the verification points at the end."""
+        """Return the expected time of a setting, of a mounting, and of tasks done once.
+
+        Those tasks are the warm-up and, if `verified`, the verification points at the end.
+        """
         read = Read("", "", 1, 1, 1, None, None, SAMPLES, NPLC)
         setting_s = self.turn_s + SETTLE_S + Plan("", (), "").step_duration_s(read, line_hz)
         mount_s = self.mount_s + self.soak_s

@@ -144,7 +144,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Outlook:
-    """The coefficients and stand angles that planned readings determine, and remedies for the others.
+    """What planned readings determine, and remedies for the coefficients and stand angles that they leave open.
 
     `remedies` are the additional measurements that resolve an undetermined direction, cheapest first.
     """

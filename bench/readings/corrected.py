@@ -231,8 +231,8 @@ class MistakeName(StrEnum):
 class Wiring:
     """The connection of the three signals to the channels; a mistake may have swapped or reversed some.
 
-    `order` holds, for each true signal x, y, z, the channel (0, 1, 2) that shows it; `signs` holds its sign there,
-    +1 or -1.
+    For each true signal x, y, z, `order` holds the channel (0, 1, 2) that shows it, and `signs` the sign, +1 or -1,
+    with which the channel shows it.
     """
 
     order: tuple[int, int, int] = (0, 1, 2)

@@ -62,8 +62,8 @@ def allan_curve(
 
     The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those of `multiples` for which
     the record has at least two differences. With `gaps`, samples may be NaN, and an average needs half of its
-    samples. Errors speak of the signal by its `name`. Raises `CalibrationError` if the record is too short, the
-    signal never changes, or a sample is not a number.
+    samples. Error messages call the signal `name`. Raises `CalibrationError` if the record is too short, the signal
+    never changes, or a sample is not a number.
     """
     known = np.isfinite(signal)
     if not (gaps or np.all(known)):

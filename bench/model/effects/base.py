@@ -180,7 +180,7 @@ class VoltmeterEffect(Effect):
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:
-    """Return the parameter `name`: an angle common to all channels, of the plausible size `plausible_arcsec`."""
+    """Return the parameter `name`: an angle common to all channels, with the plausible value `plausible_arcsec`."""
     return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
 
 
@@ -292,10 +292,10 @@ class AppliedEffect:
     """An effect with parameter values, as stated in a bench file or a model file.
 
     `values` and their standard uncertainties `u`, where known, are in SI: shape (3,) for a per-channel parameter,
-    else (). A parameter without a value has its default, zero for a size. `installations` are the mountings
-    (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the effect acts; empty
-    means all. `either_of` lists the names of effects that the readings cannot distinguish, this effect included; it
-    is empty if they can.
+    else (). A shape without a value has its default; any other parameter without a value is zero. `installations`
+    are the mountings (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the
+    effect acts; empty means all. `either_of` lists this effect and the effects that the readings cannot distinguish
+    from it; it is empty if there are none.
     """
 
     effect: Effect

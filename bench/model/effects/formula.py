@@ -286,7 +286,7 @@ class DegreeReading:
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
-        """Return 0. Raises `ExpressionError` if an argument contains a size."""
+        """Return 0. Raises `ExpressionError` if an argument contains a size parameter."""
         if any(arguments):
             raise ExpressionError(
                 f"{name} contains a size ({self._named}), in which an effect must be linear; {GRID_HINT}"
