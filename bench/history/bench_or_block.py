@@ -253,7 +253,7 @@ def _whole_names(measured: ComparedCalibrations) -> list[str]:
 
 @dataclass(frozen=True)
 class _Column:
-    """The values and the stated variances of one coefficient, (n,)."""
+    """The values of one coefficient, (n,), and the independent part of their stated variances, (n,)."""
 
     crossing: Crossing
     y: Floats

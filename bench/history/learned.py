@@ -34,7 +34,7 @@ NEVER: Final = (
 class LearnedSize:
     """A learned quantity in `unit`, with its standard uncertainty and degrees of freedom.
 
-    `told` is false if the runs do not determine the quantity; its value is then the prior value.
+    `told` is false if the runs add little or nothing to the prior knowledge of the quantity.
     """
 
     name: str
