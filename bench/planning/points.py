@@ -223,7 +223,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals after `Goal.relaxed`, first with their `floor`, then with the `floor` of all settings.
+    """Return the goals after `Goal.relaxed`, and the same goals with the floors for readings at all settings.
 
     Both lists are the given goals if all settings together do not determine the block.
     """

@@ -66,7 +66,8 @@ THRESHOLD_U: Final = 0.1
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
     """Carry out a validation; write result, page, PDF and seal.
 
-    Raises `Refused` for an unusable folder or key, `FileMistakes` for a bench file with mistakes.
+    Raises `Refused` for an unusable folder, key or release, and if `request.against` names no run. Raises
+    `FileMistakes` for a bench file with mistakes.
     """
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()

@@ -175,9 +175,9 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        The channel's `state` is from -1 to 1. `change` is its derivative by the state at the start of each
-        mounting. The state at the start is 0, in the middle of the play. Raises `ValueError` if `Conditions.turns`
-        is None.
+        The channel's `state` is from -1 to 1; at the start of a mounting it is 0, in the middle of the play.
+        `change` is half the difference between the states after starts at 1 and at -1. Raises `ValueError` if
+        `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
         added = values["size"] * state(seen.conditions, width_g)
