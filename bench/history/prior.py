@@ -176,9 +176,10 @@ def _positive(matrix: Floats) -> Floats:
 class Joined:
     """A calibration combined with a prior: `vector` (12,) with its `covariance` (12, 12).
 
-    `part` (12, 12) is the weight of the prior. `chi2`, with twelve degrees of freedom, and its p-value `p` test
-    whether prior and readings agree. If they do not, the calibration is unchanged and `used` is false. `pull` (12,)
-    is the calibration minus the prior mean, divided by the u of this difference.
+    `part` (12, 12) is the weight of the prior. `chi2` measures how far readings and prior disagree. Its p-value `p`
+    is from an F distribution, because the prior's covariance is an estimate. If they disagree, the calibration is
+    unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean, divided by the u of this
+    difference.
     """
 
     vector: Floats

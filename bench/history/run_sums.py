@@ -63,10 +63,10 @@ class RunFit:
 
 
 def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
-    """Fit one run alone with the stated limits of the stand. Raises `CalibrationError` if that is impossible.
+    """Fit one run alone, with the standard uncertainties `stand_u` of the stand angles, rad.
 
-    `stand_u` has the standard uncertainty of every stand angle, rad, including those that the bench file does not
-    state.
+    `stand_u` has every stand angle, including those that the bench file does not state. Raises `CalibrationError`
+    if the fit is impossible.
     """
     rows = usable_rows(readings, model)
     problem = make_problem(model, rows.conditions(), stand_u)

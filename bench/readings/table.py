@@ -250,7 +250,7 @@ class JoinedPart:
 
 
 def together(parts: Sequence[JoinedPart]) -> Readings:
-    """Return several tables joined into one, in order of time or, if their times are unknown or overlap, as given.
+    """Return several tables joined into one, in order of time; if times are unknown or overlap, as given.
 
     Series are renumbered to keep the mountings of different tables apart: the first table keeps its numbers, each
     further table continues after the last. All times are put on one clock: with the real intervals if every table
