@@ -192,7 +192,10 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
 
 
 def _distinct(settings: Sequence[Setting]) -> list[Setting]:
-    """Return the settings without repeats, which do not increase the rank."""
+    """Return the settings without repeats, which do not increase the rank.
+
+    Of more than `MOST_MOUNTINGS` mountings, only the first in each installation is kept.
+    """
     distinct = list({(s.mount, s.angle_rad): s for s in reversed(settings)}.values())[::-1]
     if len({s.mount for s in distinct}) <= MOST_MOUNTINGS:
         return distinct

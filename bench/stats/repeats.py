@@ -61,7 +61,8 @@ class Repeats:
 
     `scatter` is the scatter about the means of all repeats. For `held_before` and `held_after`, each repeat is left
     out and predicted from the remaining repeats: `held_before` uses the stated u, `held_after` the u that `term`
-    widens. Both are None for fewer than three repeats. `term` is None if the stated u is large enough.
+    widens. `term` and `held_after` are None if the stated u is large enough. All three are None for fewer than
+    three repeats.
     """
 
     scatter: float

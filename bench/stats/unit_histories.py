@@ -33,9 +33,9 @@ LEAST_PART: Final = 1e-6
 class SameLength:
     """The m units with n runs each, which have r = n - 1 contrasts.
 
-    `rows` (m, n) are the rows of the units' runs in the table, in order of time. `contrast` (r, n) is the
-    contrast matrix. `time` (m, r) are the contrasts of the times; `walk` (m, r, r) is the covariance of the
-    contrasts of a random walk of size one; `bench` (m, r, B) are the contrasts of the bench indicators.
+    `rows` (m, n) are the rows of the units' runs in the table, in order of time. `contrast` (r, n) is the contrast
+    matrix. `time` (m, r) are the contrasts of the times; `walk` (m, r, r) is the covariance of the contrasts of a
+    random walk of unit variance in a year; `bench` (m, r, B) are the contrasts of the bench indicators.
     """
 
     rows: Ints
