@@ -281,7 +281,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
 
 
 def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence[datetime]) -> InNumbers:
-    """Compare snapshots, `there`, with the first of them in the numbers `names`; without `dates`, give no drift."""
+    """Compare the snapshots `there` with the first in the numbers `names`; no drift without `dates`."""
     alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]

@@ -193,7 +193,7 @@ class CheckRun:
 
 @dataclass(frozen=True)
 class Reference:
-    """A calibration of the check block on another bench: `value` (12,) with its full `covariance` (12, 12)."""
+    """A calibration of the check block on another bench: `value` (12,), full `covariance` (12, 12)."""
 
     name: str
     when: datetime

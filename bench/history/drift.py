@@ -237,7 +237,7 @@ class _History:
 
     @cached_property
     def _scales(self) -> tuple[Floats, Floats]:
-        """The scales (12,): standard deviations of the scatter, and of the random walk in the root of a year."""
+        """The scales (12,): standard deviations of the scatter, and of the random walk in a year."""
         line = np.stack([np.ones_like(self.years), self.years], axis=1)
         left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
         scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))

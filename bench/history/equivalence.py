@@ -433,7 +433,7 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return the standard deviation (m,) of each number of a travelling unit between stops, in excess of its u.
+    """Return the standard deviation (m,) of a travelling unit's numbers between stops, in excess of u.
 
     It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If no
     change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few returns

@@ -56,7 +56,7 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the noise variances (4,) of x, y, z and the setting error by repeats; None for too few repeats."""
+        """Return the noise variances (4,) of x, y, z and setting error; None for too few repeats."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         return _variances(self.scatter, self.floor)

@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return the degrees of freedom of the noise from repeats, and those from all other residuals of the model."""
+    """Return the degrees of freedom of the noise from repeats, and from all other residuals."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)

@@ -60,14 +60,14 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal whose required u is at least twice the u that infinitely many readings would give.
+        """Return a loose goal with a required u of at least twice the u of infinitely many readings.
 
         `endless` is the variance that infinitely many readings would give. Other goals are returned unchanged.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with a smaller required u: its square in excess of the floor is divided by `wider2`."""
+        """Return the goal with its permitted variance in excess of the floor divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -209,7 +209,7 @@ class SettingPool:
 
 
 class ExchangeDesign:
-    """A design: the number of visits to each candidate setting, `counts` (c,), which moves change by one visit.
+    """A design: the number of visits to each candidate setting, `counts` (c,). Moves change it by one.
 
     The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the ratios
     of u to the required u of its `goals`; a lower score is better.

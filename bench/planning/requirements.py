@@ -144,7 +144,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Outlook:
-    """What planned readings determine, and remedies for the coefficients and stand angles that they leave open.
+    """What planned readings determine, and remedies for coefficients and angles that they leave open.
 
     `remedies` are the additional measurements that resolve an undetermined direction, cheapest first.
     """
@@ -382,7 +382,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point, with the standard uncertainties `sizes` as in `by_point`."""
+        """Return k u of the target at the worst point; `sizes` are as in `by_point`."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -427,7 +427,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two standard uncertainties, a factor of ten apart or less, where `excess` has opposite signs."""
+        """Return two u, a factor of ten apart or less, at which `excess` has opposite signs."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10

@@ -137,7 +137,7 @@ class MixedModelEquations:
 
     @cached_property
     def bench_covariance(self) -> Floats:
-        """Covariance (B, B) of the prediction errors of bench effects, if the standard deviations are known."""
+        """Covariance (B, B) of the prediction errors of bench effects, for known standard deviations."""
         inverse = linalg.cho_solve((self.lower, True), np.eye(len(self.lower)))
         own = inverse[self.crossing.groups :, self.crossing.groups :]
         return np.asarray(self.sizes[BENCH] ** 2 * own)

@@ -126,7 +126,7 @@ def _widening(freedom: float) -> float:
 
 
 def _kernel(u: Floats, name: TermName | None) -> Floats:
-    """Return the covariances (g, r, r) that the term `name` adds if its `size` is 1; zero for a missing repeat."""
+    """Return the covariances (g, r, r) that a term of `size` 1 adds; zero for a missing repeat."""
     groups, repeats = u.shape
     there = np.isfinite(u)
     match name:

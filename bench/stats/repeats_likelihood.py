@@ -110,7 +110,7 @@ class Sizes:
 def believed_sizes(
     scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
 ) -> Sizes:
-    """Return the noise variances of many runs, separate for each channel if the channels differ significantly.
+    """Return the noise variances of many runs, separate for each channel if the channels differ.
 
     All channels have one variance with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
     for the other arguments.
@@ -140,7 +140,7 @@ def believed_sizes(
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
-    """Return the p-value (runs,) of the hypothesis that the channels have equal variances, by Rao's score test.
+    """Return the p-value (runs,) of equal variances of the channels, by Rao's score test.
 
     `common` (runs, 4) are the variances that maximise the likelihood under this hypothesis. The setting's variance
     is left out of the test if it is at its lower bound.

@@ -126,7 +126,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 
 
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
-    """Return the result in a folder, as bytes and parsed. Raises `Refused` if a file differs from the seal."""
+    """Return the result in a folder, as bytes and parsed. Raises `Refused` if it differs from its seal."""
     try:
         with refusing("name the folder of a validation", folder / RESULT, verb="read"):
             content, seal = read_regular(folder / RESULT), read_seal(folder)

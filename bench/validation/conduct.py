@@ -117,7 +117,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
 
 
 def _noted(laboratory: Path, folder: Path, result: ValidationResult) -> str:
-    """Enter a failed validation in the register of failures; return its number there, or why it was not entered."""
+    """Enter a failed validation in the register of failures; return its number, or why that failed."""
     try:
         return note_validation(laboratory, folder.name, result)
     except Refused as why:  # a folder that cannot be written must not cost the result

@@ -81,7 +81,7 @@ def failures(request: Failures) -> FailuresResult:
 
 
 def note_validation(laboratory: Path, name: str, result: ValidationResult) -> str:
-    """Add a failed validation, `name` of its folder, to the register of failures; return the failure's number.
+    """Add a failed validation, by the `name` of its folder, to the register; return the failure's number.
 
     Raises `Refused` if the register cannot be used.
     """

@@ -76,7 +76,7 @@ class Parameter:
 
     @property
     def is_size(self) -> bool:
-        """Whether the effect is proportional to the parameter, which is neither a shape nor a starting state."""
+        """Whether the effect is proportional to the parameter: neither a shape nor a starting state."""
         return not self.grid and not self.start_of
 
 
@@ -135,7 +135,7 @@ class Effect(ABC):
         """
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the standard deviation of a mounting's starting state, as a multiple of its size parameter, SI.
+        """Return the standard deviation of a starting state, as a multiple of its size parameter, SI.
 
         The starting state is a parameter whose `start_of` names the size parameter. An effect without one does not
         use this number.
@@ -180,7 +180,7 @@ class VoltmeterEffect(Effect):
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:
-    """Return the parameter `name`: an angle common to all channels, with the plausible value `plausible_arcsec`."""
+    """Return the parameter `name`, an angle common to all channels, with a plausible value."""
     return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
 
 
@@ -243,7 +243,7 @@ def lag_of(*minutes: int) -> Parameter:
 
 
 def time_constant(*minutes: int) -> Parameter:
-    """Return the shape parameter "tau" of an exponential decay; its grid is the `minutes`, its default 20 min."""
+    """Return the shape parameter "tau" of an exponential decay: grid `minutes`, default 20 min."""
     grid = tuple(m * MINUTE for m in minutes)
     return Parameter(
         "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False, grid=grid, default=20 * MINUTE
@@ -402,6 +402,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return correction `number`, of factor `value` with uncertainty `u`, for the shape of the effect `of`."""
+    """Return correction `number` of the shape of `of`, with the factor `value` and its uncertainty `u`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

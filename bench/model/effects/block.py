@@ -261,7 +261,7 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 def _start(unit: str, plausible: float, start_of: str) -> Parameter:
-    """Return the parameter for the excess of a lagged effect over its equilibrium at the start of a mounting."""
+    """Return the parameter for a lagged effect's deviation from equilibrium at the start of a mounting."""
     return Parameter("start", unit, 1e-6, plausible, per_channel=True, start_of=start_of)
 
 
