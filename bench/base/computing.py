@@ -27,8 +27,9 @@ class CalibrationError(ValueError):
 
 @contextmanager
 def heard_by(listener: Listener | None) -> Iterator[None]:
-    """Within this context, report the progress of all `tracked` computations to `listener`, or to nobody if it is
-    None.
+    """Report the progress of all `tracked` computations to `listener` within this context.
+
+    With None for `listener`, nobody receives reports.
     """
     before = _listener.set(listener)
     try:
@@ -57,9 +58,9 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 
 
 def one_thread() -> None:
-    """Limit linear algebra to one thread, which is faster for small matrices, unless the environment sets a number.
+    """Limit linear algebra to one thread, because one thread is faster for small matrices.
 
-    Call it before numpy is imported.
+    A number of threads that the environment already sets stays. Call this function before numpy is imported.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")
@@ -117,7 +118,10 @@ EXTRAS: Final[Mapping[str, tuple[str, ...]]] = {
 
 
 def missing(error: BaseException) -> str:
-    """Return a sentence that names the missing package and the extra with it; "" for another `error`."""
+    """Return a sentence that names the missing package and the extra of this program that installs it.
+
+    Return "" if `error` is not the failed import of a package in `EXTRAS`.
+    """
     package = (error.name or "").partition(".")[0] if isinstance(error, ImportError) else ""
     for extra, packages in EXTRAS.items():
         if package in packages:

@@ -100,7 +100,10 @@ def _from_pipe(path: Path) -> bytes:
 
 
 def remedy_for(error: OSError, usual: str) -> str:
-    """Return what to do after a failed reading: `usual`, but not for a pipe without a writer or a large file."""
+    """Return what a person should do after a file could not be read, by default `usual`.
+
+    A pipe without a writer and a file that is too large have their own remedies.
+    """
     if error.errno == errno.EPIPE:
         return "check the command that writes into it, or give a file with its output"
     return "give a smaller file" if error.errno == errno.EFBIG else usual
@@ -146,7 +149,10 @@ _DECODER: Final = json.JSONDecoder(parse_constant=_no_number)
 
 
 def to_text(result: Any, *, only_ascii: bool = False) -> str:
-    """Return a result as JSON text, indented, with control characters escaped, or all but ASCII."""
+    """Return a result as indented JSON text, with escapes for control and invisible characters.
+
+    With `only_ascii`, all characters outside ASCII are escaped as well. Raises `ValueError` for NaN and infinity.
+    """
     return in_json(json.dumps(result, indent=1, ensure_ascii=only_ascii, allow_nan=False)) + "\n"
 
 

@@ -34,8 +34,9 @@ _chosen: ContextVar[str | None] = ContextVar("language", default=None)
 
 
 def language() -> str:
-    """Return the current language of pages and prompts: set by `speaking`, else by `BENCH_LANGUAGE`, else
-    English.
+    """Return the current language of pages and prompts.
+
+    `speaking` or `speak` sets it. Otherwise it is the language in `BENCH_LANGUAGE`, by default English.
     """
     return _chosen.get() or known_language(os.environ.get(ENVIRONMENT, "")) or ENGLISH
 
@@ -106,9 +107,7 @@ _UNITS: Final = frozenset({
 
 
 def is_numeric(text: str) -> bool:
-    """Return whether a text consists of numbers, signs and units only, such as "−2.177(16) V/g" or "22.8 … 23.1
-    °C".
-    """
+    """Return whether a text consists of numbers, signs and units only, such as "−2.177(16) V/g"."""
     return bool(_DECIMAL.search(text)) and all(word in _UNITS for word in _WORDS.findall(text))
 
 
@@ -146,7 +145,7 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether the text is from a module, where it is looked up with its blanks already filled.
+        """Whether the text is from a module, which looks it up after filling its blanks.
 
         A template looks its texts up before it fills the blanks.
         """

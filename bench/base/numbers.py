@@ -110,7 +110,8 @@ def uncertainty(u: float) -> str:
 def figures(value: float, digits: int = 3, *, down: bool = False, up: bool = False) -> str:
     """Return a number with this many significant digits, without an exponent: "1860".
 
-    `down` rounds a positive number down, for a limit that must not be exceeded, `up` rounds one up.
+    With `down`, a positive number is rounded down, for a limit that must not be exceeded. With `up`, a positive
+    number is rounded up.
     """
     if (down or up) and value > 0.0:
         step = 10.0 ** (math.floor(math.log10(value)) - digits + 1)

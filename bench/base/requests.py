@@ -34,10 +34,10 @@ class Option:
     """The user interface of a request's field: a line of help, and its form on the command line.
 
     `flags` default to "--name", or "--name/--no-name" for a switch whose default is on; a positional `argument` has
-    none. `metavar` is the value's name in the help; the default for a path is FILE. `completes` names the shell
-    completion ("bench_files", …; `bench.cli.completing`), `least` and `most` limit a number. `typed` is the type on
-    the command line, if it does not follow from that of the field. The short help leaves out `rare` options. `also`
-    is an older option that is still accepted in place of the argument.
+    no flags. `metavar` is the name of the value in the help; for a path it defaults to FILE. `completes` names the
+    shell completion ("bench_files", …; `bench.cli.completing`). `least` and `most` limit a number. `typed` is the
+    type of the value on the command line, if it differs from the type of the field. The short help omits `rare`
+    options. `also` is an older option that the command line still accepts in place of the argument.
     """
 
     help: str

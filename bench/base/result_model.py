@@ -54,9 +54,9 @@ class ResultModel(BaseModel):
 
     @classmethod
     def from_object(cls, *computed: object, **others: Any) -> Self:
-        """Return a model with the members `others`; its further members are attributes of the objects `computed`.
+        """Return a model whose members come from `others` and from the attributes of the objects `computed`.
 
-        Where several objects have an attribute, the first one counts.
+        A member in `others` takes precedence. If several objects have an attribute, the first object supplies it.
         """
         found = {
             name: getattr(one, name)

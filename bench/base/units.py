@@ -108,7 +108,7 @@ def _registry() -> UnitRegistry[float]:
 
 @lru_cache(maxsize=256)
 def _factor(unit: str, si: str) -> float | None:
-    """Return the size of `unit` in the unit `si`, or None if their dimensions differ.
+    """Return the value of one `unit` in the unit `si`, or None if their dimensions differ.
 
     Raises `ValueError` for an unknown unit.
     """
@@ -183,7 +183,7 @@ def plain_unit(unit: str) -> str:
 
 @lru_cache(maxsize=256)
 def unit_of(unit: str) -> tuple[float, Dimension]:
-    """Return the size of `unit` in SI units, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
+    """Return the SI value of one `unit`, and its dimension: "mV" gives (0.001, (("V", 1.0),)).
 
     `unit` has the spelling of `plain_unit`, empty for a plain number. Raises `ValueError` for an unknown unit.
     """
@@ -226,8 +226,9 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
 
 
 def above_zero(why: str) -> AfterValidator:
-    """Return a validator that rejects 0 with the sentence `why`: `Annotated[SizeV, above_zero("state a drift above
-    0")]`.
+    """Return a validator that rejects 0 with the sentence `why`.
+
+    For example: `Annotated[SizeV, above_zero("state a drift above 0")]`.
     """
 
     def check(size: float) -> float:

@@ -67,9 +67,10 @@ _EXPECTED: Final = {
 def explained(
     error: ValidationError, model: type[BaseModel], lines: Mapping[Place, int]
 ) -> Iterator[tuple[Place, str]]:
-    """Yield the place and a sentence for each error of validating `model`; `lines` has the line of each place.
+    """Yield the place and a sentence for each error that the validation of `model` found.
 
-    A misspelt key is reported only as misspelt, not also as missing.
+    `lines` maps each place to its line in the file. A misspelt key is reported only as misspelt, not also as
+    missing.
     """
     details = error.errors()[:MOST_TOLD]
     misspelt = {
@@ -204,9 +205,10 @@ class TooDeep(yaml.MarkedYAMLError):
 
 @dataclass
 class Written:
-    """A parsed YAML text: `data` of mappings, lists and texts (None for empty values), the line of every place.
+    """A parsed YAML text: its data, the line of every place, and its slips.
 
-    `slips` are constructs that YAML allows but bench files do not, each with its line, place and a sentence.
+    `data` consists of mappings, lists and texts; an empty value is None. `slips` are constructs that YAML allows
+    but bench files do not, each with its line, its place and a sentence.
     """
 
     data: Any = None
@@ -393,15 +395,19 @@ class FileModel(BaseModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use instead of this one, such as one model per driver; none by
-        default.
+        """Return the models that a file may use instead of this one; none by default.
+
+        An example is a model for each driver.
         """
         return ()
 
 
 @dataclass
 class Document:
-    """A parsed file: `data` of mappings, lists and texts (None for empty values), `text`, the lines of places."""
+    """A parsed file: its data, its `text`, and the lines of its places.
+
+    `data` consists of mappings, lists and texts; an empty value is None.
+    """
 
     path: Path
     data: Any

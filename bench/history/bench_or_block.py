@@ -35,8 +35,8 @@ FLAT: Final = 1e3
 class Allotment:
     """A Hausman test of the hypothesis that units were assigned to benches at random: `chi2` with `dof`.
 
-    The test compares two estimates of the differences between benches. One uses differences within units only; the
-    other also uses the means of units. Only the second estimate is biased by a bench that measures units unlike
+    The test compares two estimates of the differences between benches. The first uses only differences within
+    units. The second uses the means of units as well, and is therefore biased if a bench measures units unlike
     those of other benches. Source: J. A. Hausman, Econometrica 46 (1978) 1251.
     """
 
@@ -79,8 +79,8 @@ ONE_SIDED: Final = 1.645
 class EstimatedSize:
     """An estimated standard deviation, its u (NaN if the estimate is zero) and its upper 95 % limit, `most`.
 
-    `p_all_looks` is the p-value of a likelihood-ratio test against zero, corrected for twelve coefficients;
-    NaN if not tested.
+    `p_all_looks` is the p-value of the likelihood-ratio test of the hypothesis that the standard deviation is zero,
+    corrected for twelve coefficients; NaN if not tested.
     """
 
     value: float
@@ -90,7 +90,7 @@ class EstimatedSize:
 
     @property
     def shown(self) -> bool:
-        """Whether the size is significantly larger than zero."""
+        """Whether the standard deviation is significantly larger than zero."""
         return self.p_all_looks < SHOWN_P
 
 
@@ -253,7 +253,7 @@ def _whole_names(measured: ComparedCalibrations) -> list[str]:
 
 @dataclass(frozen=True)
 class _Column:
-    """The values and the stated variances of one coefficient, (n,)."""
+    """The values of one coefficient, (n,), and the independent part of their stated variances, (n,)."""
 
     crossing: Crossing
     y: Floats
@@ -273,7 +273,10 @@ class _Column:
 
 
 def _chosen(columns: list[_Column]) -> list[tuple[Crossed, Allotment]]:
-    """Return the fit of each column and its test; units are fixed effects if they were not assigned at random."""
+    """Return the fit of each column and the test of its allotment.
+
+    Units are fixed effects if they were not assigned to benches at random.
+    """
     found = [column.fit() for column in columns]
     allotted = [allotment(one) for one in found]
     p = holm(np.array([one.p for one in allotted]))

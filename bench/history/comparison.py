@@ -44,14 +44,16 @@ class Snapshot:
 
     `block` is the type and serial number of the block, empty if not recorded. `same_meters` (12, 12) is the
     covariance without the part that cancels if the same meters measure again, None if there is no such part;
-    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error
-    due to a one-u error of the block's nonlinearity K2 or K3; this error is the same in every calibration of
-    the block. `wander` (3,) is the rms wander of each bias about its mean in the run. `dof` is the smallest
-    effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at which the
-    coefficients hold, °C, NaN if unknown. `gravity_u` is the relative standard uncertainty of `g_m_s2`, which
-    `covariance` does not include until `per` converts the scale factors to another g; `of_gravity` (12,) is then
-    the error due to one u of g, the same in all calibrations at the `place` with that g. A snapshot in the nine
-    intrinsic numbers has arrays of nine instead of twelve; the biases come last in both.
+    `meters` are the meters' identities, empty if unknown. Each column of `block_terms` (12, q) is the error due to
+    an error of one standard uncertainty in the block's nonlinearity K2 or K3; the error is the same in every
+    calibration of the block. `wander` (3,) is the rms deviation of each bias from its mean during the run. `dof` is
+    the smallest effective degrees of freedom of the nine intrinsic numbers. `temperature_c` is the temperature at
+    which the coefficients hold, °C, NaN if unknown.
+
+    `gravity_u` is the relative standard uncertainty of `g_m_s2`. The `covariance` includes it only after `per` has
+    converted the scale factors to another g. `of_gravity` (12,) is then the error due to one standard uncertainty
+    of g, the same in all calibrations at the `place` with that g. A snapshot in the nine intrinsic numbers has
+    arrays of nine instead of twelve; the biases come last in both.
     """
 
     name: str
@@ -75,8 +77,8 @@ class Snapshot:
     def per(self, g_m_s2: float, gravity_u: float = 0.0) -> Snapshot:
         """Return the snapshot with scale factors per g of `g_m_s2` (m/s²), which has the relative u `gravity_u`.
 
-        The covariance then includes the errors of both values of g, which all scale factors share. For the same g,
-        as of calibrations in one place, there is no such error.
+        The covariance then includes the errors of both values of g, which all scale factors share. If `g_m_s2` is
+        the g of the snapshot, as for calibrations in one place, the snapshot is returned unchanged.
         """
         return self if g_m_s2 == self.g_m_s2 else self._elsewhere(g_m_s2, gravity_u)
 
@@ -125,9 +127,9 @@ class Snapshot:
 
     @property
     def _wander_from_start(self) -> Floats:
-        """The covariance (12, 12) of how far the biases wander between the start of the run and their mean over it.
+        """The covariance (12, 12) of the change of the biases from the start of the run to their mean.
 
-        For a random walk with rms s about its mean over a run, this wander has the standard deviation sqrt(2) s.
+        For a random walk with rms s about its mean over a run, this change has the standard deviation sqrt(2) s.
         """
         between = np.zeros(len(self.vector))
         if self.wander is not None:
@@ -138,9 +140,9 @@ class Snapshot:
         """Return the snapshot with the covariance that applies to a comparison with the calibration `first`.
 
         The covariance of the difference is the sum of the covariances of `self.against(first)` and
-        `first.against(first)`. Gain and offset of the same meters cancel within a day, and less as time passes:
-        after `METERS_DRIFT` they may lie anywhere within their limits. Errors of different or unidentified meters
-        never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
+        `first.against(first)`. The errors of the same meters in gain and offset cancel if both calibrations are
+        within a day. They cancel less as more time passes, and not at all after `METERS_DRIFT`. Errors of different
+        or unidentified meters never cancel. Errors due to K2 and K3 of the same block cancel where they are equal.
         """
         theirs = _of_block(first.block_terms, len(self.vector))
         own = self.without_meters + self._wander_from_start
@@ -208,10 +210,9 @@ class DriftLines:
 class InNumbers:
     """The changes of all later calibrations from the first, in the numbers `names`.
 
-    These are the nine intrinsic numbers or the twelve coefficients.
-
-    `p_constant` is the p-value of the hypothesis that all stayed constant. `drift` is None if dates are
-    missing, the calibrations are too few, or their time span is too short.
+    The numbers are the nine intrinsic ones or the twelve coefficients. `p_constant` is the p-value of the
+    hypothesis that all stayed constant. `drift` is None if dates are missing, the calibrations are too few, or
+    their time span is too short.
     """
 
     names: tuple[str, ...]
@@ -248,8 +249,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     """Compare calibrations of one block; the reference is the earliest, or the first if any date is missing.
 
     Scale factors are converted to the local gravity of the reference. Raises `CalibrationError` if there are fewer
-    than two calibrations, their units differ, or a covariance is singular other than by the convention of free
-    positions.
+    than two calibrations, or if their units differ. It is also raised for a singular covariance, unless the
+    singularity comes from the convention of free positions.
     """
     if len(snapshots) < 2:
         raise CalibrationError("a comparison needs two or more calibrations; name another run or result")
@@ -280,7 +281,7 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
 
 
 def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence[datetime]) -> InNumbers:
-    """Compare the numbers `names` of snapshots `there` with the first; without `dates`, give no drift."""
+    """Compare the snapshots `there` with the first in the numbers `names`; no drift without `dates`."""
     alike = [snapshot.against(there[0]) for snapshot in there]
     differences = [later.vector - alike[0].vector for later in alike[1:]]
     u = [np.sqrt(np.diag(alike[0].covariance) + np.diag(later.covariance)) for later in alike[1:]]
@@ -416,7 +417,10 @@ def _on_meters(snapshots: Sequence[Snapshot]) -> str:
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:
-    """Return the part (0 to 1) of the meters' limits by which their errors may differ between two calibrations."""
+    """Return the largest possible difference of the meters' errors between two calibrations.
+
+    It is stated as a fraction, 0 to 1, of the meters' limits.
+    """
     return drifted((first.meters, first.when), (later.meters, later.when))
 
 
@@ -431,8 +435,9 @@ SECONDS_PER_DAY: Final = 86400.0
 def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
     """Return, for each of m numbers, the covariance between n calibrations, (m, n, n).
 
-    Calibrations share the gains and offsets of the same meters (less as time passes, and none from `METERS_DRIFT`
-    on), the K2 and K3 of the same block, and the error of g at one place. All scale factors must be per the same g.
+    Calibrations with the same meters share the errors of their gains and offsets: less as time passes, and none
+    from `METERS_DRIFT` on. Calibrations of the same block share the errors due to its K2 and K3. Calibrations at
+    one place share the error of g. All scale factors must be per the same g.
     """
     n = len(snapshots)
     found = np.zeros((len(snapshots[0].vector), n, n))
@@ -451,10 +456,11 @@ def joint_covariances(snapshots: Sequence[Snapshot]) -> Floats:
 class Joint:
     """The joint covariance of all twelve coefficients (or nine intrinsic numbers) of n calibrations, in parts.
 
-    `own` (n, 12, 12) is the independent part of each. `meters` (n, 12, 12) are square roots of the covariances due
-    to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms` (n, 12, q) are
-    the errors due to K2 and K3 of the block, shared by all calibrations with the same block index in `block` (n,).
-    `gravity` (n, 12, 1) are those due to g, shared by all with the same index in `place` (n,).
+    `own` (n, 12, 12) is the independent part of each calibration. `meters` (n, 12, 12) are square roots of the
+    covariances due to the meters; `alike` (n, n) is the correlation of these errors between calibrations. `terms`
+    (n, 12, q) are the errors due to K2 and K3, shared by all calibrations with the same block index in `block`
+    (n,). `gravity` (n, 12, 1) are the errors due to g, shared by all calibrations with the same index in `place`
+    (n,).
     """
 
     own: Floats
@@ -466,8 +472,9 @@ class Joint:
     place: Ints
 
     def of_sums(self, weights: Floats) -> Floats:
-        """Return the covariance (12, 12) of weighted sums over calibrations; `weights` (12, n), a row per
-        coefficient.
+        """Return the covariance (12, 12) of weighted sums over calibrations.
+
+        `weights` (12, n) has a row for each coefficient.
         """
         found = np.einsum("kn,ln,nkl->kl", weights, weights, self.own, optimize=True)
         meters = weights.T[:, :, None] * self.meters

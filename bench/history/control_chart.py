@@ -155,10 +155,10 @@ class CheckRun:
 
     `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
     `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
-    `meters` are the identities of the voltmeters; `of_meters` (12, 12) is the covariance due to the limits of the
-    voltmeters, which counts if these were replaced. `lasting` (12, 12) is the covariance of all other errors that
-    do not vary from run to run. `names` are the names of the values if these are neither the twelve coefficients
-    nor the nine intrinsic numbers.
+    `meters` are the identities of the voltmeters. `of_meters` (12, 12) is the covariance due to their limits; it
+    counts if the run's voltmeters are not those of the baseline, and for a baseline that is a reference. `lasting`
+    (12, 12) is the covariance of all other errors that do not vary from run to run. `names` are the names of the
+    values, unless these are the twelve coefficients or the nine intrinsic numbers.
     """
 
     name: str
@@ -193,7 +193,7 @@ class CheckRun:
 
 @dataclass(frozen=True)
 class Reference:
-    """A calibration of the check block elsewhere: `value` (12,) with its full `covariance` (12, 12)."""
+    """A calibration of the check block on another bench: `value` (12,), full `covariance` (12, 12)."""
 
     name: str
     when: datetime

@@ -42,11 +42,12 @@ PRODUCTS: Final = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 class UnitDrift:
     """The drift of one block from n calibrations; arrays are (12,), in the order of `COEFFICIENTS`, or (9,).
 
-    `rate` with standard uncertainty `u_rate` is per year. `between` is the scatter between calibrations beyond
-    their stated u, `walk` the random walk in a year (1 σ each, restricted maximum likelihood, 0 if not detected);
-    `…_most` are their upper 95 % limits. `first` and `last` are the dates of the first and last calibration,
-    `count` is their number. `p_all_looks` is the p-value of the rate with Bonferroni's correction for the number of
-    coefficients. `states` serve to predict; `common` is the u of errors that all calibrations share.
+    `rate` with standard uncertainty `u_rate` is per year. `between` is the standard deviation between calibrations
+    in excess of their stated u, `walk` that of a random walk in a year. Both maximise the restricted likelihood and
+    are 0 if not detected; `between_most` and `walk_most` are their upper 95 % limits. `first` and `last` are the
+    dates of the first and last calibration, `count` is their number. `p_all_looks` is the p-value of the rate with
+    Bonferroni's correction for the number of coefficients. `states` serve to predict; `common` is the u of errors
+    that all calibrations share.
     """
 
     rate: Floats
@@ -88,13 +89,14 @@ class UnitDrift:
 
 @dataclass(frozen=True)
 class States:
-    """The filtered state at the last calibration, (12, m, …), for 12 coefficients and m pairs of variances.
+    """The Kalman filter's state of 12 coefficients at the last calibration, for each of m pairs of variances.
 
-    A pair is a variance of scatter, `between`, and a variance of a random walk per year, `walk`; `weight` sums to
-    1 over the pairs. `line` (12, m, 2) is level and rate; `covariance` (12, m, 2, 2) is their covariance. The
-    Kalman filter of the random walk was run on the values and on the two columns, 1 and time, of the line's design
-    matrix: `walked` (12, m) and `columns` (12, m, 2) are the walks that result, `left` (12, m) the walk's
-    variance. `last_year` is the time of the last calibration since the first.
+    A pair consists of the variance `between` calibrations and the variance `walk` of a random walk in a year.
+    `weight` is the probability of each pair; its sum over the pairs is 1. `line` (12, m, 2) is level and rate,
+    `covariance` (12, m, 2, 2) their covariance. The filter of the random walk was applied to the values and to the
+    two columns of the line's design matrix, ones and times. Its states are `walked` (12, m) and `columns` (12, m,
+    2); `left` (12, m) is the variance of the walk. `last_year` is the time from the first to the last calibration,
+    years.
     """
 
     last_year: float
@@ -235,7 +237,7 @@ class _History:
 
     @cached_property
     def _scales(self) -> tuple[Floats, Floats]:
-        """The scales (12,) of the scatter, and of the random walk in a root year."""
+        """The scales (12,): standard deviations of the scatter, and of the random walk in a year."""
         line = np.stack([np.ones_like(self.years), self.years], axis=1)
         left = self.y - line @ np.linalg.lstsq(line, self.y, rcond=None)[0]
         scatter = np.sqrt(np.median(self.own, axis=0) + np.sum(left**2, axis=0) / (len(self.y) - 2))
@@ -323,8 +325,9 @@ class _History:
 
 
 def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
-    """Return the lowest and the highest node of relevant density, (2, 12) each, extended by one node on either
-    side.
+    """Return the lowest and the highest node with a relevant density, (2, 12) each.
+
+    The range is extended by one node on either side.
     """
     top = density.max(axis=(1, 2), keepdims=True)
     counts = density > top - FORGOTTEN
@@ -339,7 +342,7 @@ def _within(nodes: Floats, density: Floats) -> tuple[Floats, Floats]:
 
 
 def _taken(values: Floats, index: Ints) -> Floats:
-    """Return one element (12,) of each row of `values` (12, g): that at `index` (12,)."""
+    """Return, for each row of `values` (12, g), its element at `index` (12,), shape (12,)."""
     return np.take_along_axis(values, index[:, None], axis=1)[:, 0]
 
 
@@ -356,9 +359,9 @@ DAY: Final = np.timedelta64(1, "D")
 class Due:
     """The due date of a block's next calibration, with its `basis` ("drift" or "interval") and the reason `why`.
 
-    `predicted_g` is the expanded error expected on the due date, and `now_g` on the day of the last calibration, in
-    local g; both are None if the basis is the interval. `count` is the number of calibrations; `last` is the time
-    of the last calibration.
+    `predicted_g` is the error expected on the due date, `now_g` that on the day of the last calibration: |mean| + k
+    u in the worst direction, in local g. Both are None if the basis is the interval. `count` is the number of
+    calibrations; `last` is the time of the last calibration.
     """
 
     date: np.datetime64
@@ -382,12 +385,13 @@ def due(
     *,
     simulated: bool = False,
 ) -> Due:
-    """Return the due date of a block that was calibrated at `when` (n,) with coefficients `vector` (n, 12) per g.
+    """Return the due date of a block that was calibrated at times `when` (n,).
 
-    `covariance` (n, 12, 12) are the stated covariances. `u_meters` (n, 12) is the part of u that recurs with the
-    same meters; None if the meters differ. `limit_g` is the permitted error, in g, of a measurement of 1 g in any
-    direction. If the history is too short to show drift, `interval_days` determines the date. The result
-    repeats `simulated`. Raises `CalibrationError` if there is no calibration, or if K of the last one is singular.
+    `vector` (n, 12) are the coefficients, per local g, and `covariance` (n, 12, 12) their stated covariances.
+    `u_meters` (n, 12) is the part of u that recurs with the same meters; None if the meters differ. `limit_g` is
+    the permitted error, in g, of a measurement of 1 g in any direction. If the history is too short to show drift,
+    `interval_days` determines the date. `simulated` is copied into the result. Raises `CalibrationError` if there
+    is no calibration, or if K of the last one is singular.
     """
     if len(when) == 0:
         raise CalibrationError("no calibration has a date, so no due date is known; add dates to the runs")

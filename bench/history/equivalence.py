@@ -30,8 +30,9 @@ METHODS: Final = (WEIGHTED_MEAN, MANDEL_PAULE, DERSIMONIAN_LAIRD)
 
 @dataclass(frozen=True)
 class Participants:
-    """Values `y` (n,) with their covariance (n, n); `unit` (n,) and `bench` (n,) are the indices of unit and
-    bench.
+    """Values `y` (n,) with their covariance (n, n), each of one unit on one bench.
+
+    `unit` (n,) and `bench` (n,) are the indices of unit and bench.
     """
 
     y: Floats
@@ -50,7 +51,10 @@ class Participants:
         return np.eye(int(self.bench.max()) + 1)[self.bench]
 
     def with_dark(self, dark: float) -> Floats:
-        """Return the covariance (n, n) with an additional independent error `dark` (1 σ) of each bench."""
+        """Return the covariance (n, n) with an independent error of each bench added.
+
+        `dark` is the standard deviation of this error.
+        """
         return self.covariance + dark**2 * (self.Z_bench @ self.Z_bench.T)
 
     @cached_property
@@ -258,9 +262,9 @@ def together(
 ) -> tuple[JointDifference, ...]:
     """Return the chi-square tests of m vectors of differences (m, p) with standard uncertainties `u` (m, p).
 
-    `of_errors` (m, p) is the part of `u`, in quadrature, from calibration errors; `errors` (m, p, p) gives only
-    the correlations of this part. The rest of `u`, such as the dark uncertainty, counts as uncorrelated among
-    the p numbers.
+    `u` combines two parts in quadrature: `of_errors` (m, p), due to calibration errors, and a rest, such as the
+    dark uncertainty. The correlations of the first part are those of the covariances `errors` (m, p, p). The rest
+    counts as uncorrelated among the p numbers.
     """
     chi2 = []
     for d, whole, covariance, own in zip(differences, u, errors, of_errors, strict=True):
@@ -429,11 +433,11 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return how far each number of a travelling unit scatters from stop to stop in excess of u, (m,), 1 sigma.
+    """Return the standard deviation (m,) of a travelling unit's numbers between stops, in excess of u.
 
-    The result is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within
-    u. If no change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few
-    returns must not widen u by chance.
+    It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If no
+    change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few returns
+    must not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False
@@ -450,11 +454,11 @@ def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
 def against_others(
     values: Floats, covariances: Floats, transport: Floats | None = None
 ) -> tuple[LaboratoryJudged, ...]:
-    """Compare each of n laboratories, `values` (n, m) with `covariances` (n, m, m), with the consensus of the
-    others.
+    """Compare each of n laboratories with the Mandel-Paule consensus of all other laboratories.
 
-    `transport` (m,) is the scatter of the unit's state between laboratories (`transport_dark`), which widens u.
-    Raises `CalibrationError` for fewer than three laboratories, because two cannot show which one deviates.
+    `values` (n, m) have the `covariances` (n, m, m). `transport` (m,) is the standard deviation of the unit's state
+    between laboratories (`transport_dark`), which widens u. Raises `CalibrationError` for fewer than three
+    laboratories, because two cannot show which one deviates.
     """
     n, m = values.shape
     if transport is not None:

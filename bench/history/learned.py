@@ -32,9 +32,9 @@ NEVER: Final = (
 
 @dataclass(frozen=True)
 class LearnedSize:
-    """A learned quantity in `unit` with u and degrees of freedom.
+    """A learned quantity in `unit`, with its standard uncertainty and degrees of freedom.
 
-    `told` is false if the runs do not determine the quantity, so that its prior is kept.
+    `told` is false if the runs add little or nothing to the prior knowledge of the quantity.
     """
 
     name: str
@@ -47,7 +47,10 @@ class LearnedSize:
 
 @dataclass(frozen=True)
 class Variance:
-    """A variance component `theta` and its u in units of `unit` squared; if `held`, the prior is kept."""
+    """A variance component `theta` and its u, in units of the square of `unit`.
+
+    If `held` is true, the runs do not determine the variance, and it keeps its prior.
+    """
 
     name: str
     theta: float
@@ -67,7 +70,10 @@ class Variance:
 
     @property
     def u(self) -> float:
-        """The standard uncertainty of `size`; for few degrees of freedom, the distance to its upper limit."""
+        """The standard uncertainty of `size`.
+
+        With few degrees of freedom it is the increase of `size` if the variance grows by its u.
+        """
         if self.dof > FEW_DOF:
             return self.size / float(np.sqrt(2.0 * (self.dof - 2.0)))
         return (float(np.sqrt(self.theta + self.u_theta)) - float(np.sqrt(self.theta))) * self.unit
@@ -105,13 +111,14 @@ class Contradiction:
 class Learned:
     """The errors that the runs of one bench share.
 
-    `means` (m + waves,), rad, are one mean for each of `keys` (angle and installation, "" for all), then the
-    harmonics of the head; `covariance` is their covariance. `stated` (m,) are the u of the m means before
-    learning, rad. `variances` has the variances between mountings by kind of angle, then of the drift by
-    channel (in signal units per root hour); `variances_covariance` (k, k) is their covariance. `noise` (4,)
-    is the noise of x, y, z and of the setting (rad). `known` is the prior knowledge for later calibrations.
-    `not_told` gives, for each kind of angle that the runs do not determine, the reason. `meters` are the
-    differences between voltmeters, or a sentence on why they are unknown.
+    `means` (m + waves,), rad, are the m means of the stand angles, then the harmonics of the head; `covariance` is
+    their covariance. `keys` (m) holds the angle and the installation of each mean, with "" for all installations.
+    `stated` (m,) are the standard uncertainties of the m means before learning, rad. `variances` has the variances
+    of each kind of angle between mountings, then the variances of the drift of each channel (in signal units per
+    root hour); `variances_covariance` (k, k) is their covariance. `noise` (4,) is the noise of x, y, z and of the
+    setting (rad). `known` is the prior knowledge for later calibrations. `not_told` gives, for each kind of angle
+    that the runs do not determine, the reason. `meters` are the differences between voltmeters, or a sentence on
+    why they are unknown.
     """
 
     runs: tuple[str, ...]
@@ -188,7 +195,10 @@ class Learned:
 
 
 def _u(size: float, dof: float) -> float:
-    """Return the u of a standard deviation; for few degrees of freedom, the distance to its upper limit."""
+    """Return the u of a standard deviation `size` with `dof` degrees of freedom.
+
+    With few degrees of freedom it is the increase of `size` if the variance grows by its u.
+    """
     if dof > FEW_DOF:
         return float(size / np.sqrt(2.0 * (dof - 2.0)))
     return float(size * (np.sqrt(1.0 + np.sqrt(2.0 / max(dof, 1e-30))) - 1.0))
@@ -212,12 +222,12 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 class MeterRun:
     """A calibration of one block (its name is `unit`), reduced to the quantities that its voltmeters affect.
 
-    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,)
-    are the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6)
-    contains the errors that vary from run to run, without those of the meters. Each column of `block` (6, q)
-    is the change of the values by one u of an error of the block; such an error is the same in all runs of
-    the block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative
-    gain and of zero (V) within `per_days`.
+    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are the
+    logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains the
+    errors that vary from run to run, without those of the meters. Each column of `block` (6, q) is the change of
+    the values due to an error of the block of one standard uncertainty; the error is the same in all runs of the
+    block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative gain and of zero
+    (V) within `per_days`.
     """
 
     name: str
@@ -299,7 +309,7 @@ class MeterDifferences:
                 yield b, first
 
     def sizes(self) -> Iterator[LearnedSize]:
-        """Yield the differences from the first meter of each group."""
+        """Yield the difference of each meter from the first meter of its group."""
         for what, contrasts, unit, scale in (
             ("gain", self.gain, "ppm", _PPM), ("offset", self.zero, "µV", _MICROVOLT)
         ):  # fmt: skip
@@ -474,7 +484,7 @@ class _Design:
 
 
 def _beyond(y: Floats, X: Floats, known: Floats) -> tuple[float, float]:
-    """Return the variance of each reading beyond the stated covariance `known`, and its standard uncertainty.
+    """Return the variance of each reading in excess of the covariance `known`, and its standard uncertainty.
 
     Restricted likelihood, with `X` as fixed effects, gives the variance; it is widened for its dof and never zero.
     """

@@ -40,10 +40,11 @@ MOST_CHANGE: Final = 5.0
 
 @dataclass(frozen=True)
 class Beliefs:
-    """Prior beliefs: the precision (m,) of the means, in units of their stated u, and beliefs about variances.
+    """Prior beliefs about the means and about the variances.
 
-    `centre` (k,) and `spread` (k,) are the mean and the standard deviation of each variance that keeps its prior;
-    they are NaN for a variance that is estimated from the runs.
+    `precision` (m,) is the stated variance of each mean divided by its prior variance. `centre` (k,) and `spread`
+    (k,) are the mean and the standard deviation of each variance that keeps its prior. They are NaN for a variance
+    that is estimated from the runs.
     """
 
     precision: Floats
@@ -60,8 +61,8 @@ class Beliefs:
 class LikelihoodPoint:
     """The likelihood at given variances: -2 ln L, score (k,), information (k, k), means and their covariance.
 
-    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is the covariance of
-    both.
+    `means` (m + waves,) are the m means followed by the harmonics of the head; `covariance` is their joint
+    covariance.
     """
 
     minus_two_log: float
@@ -75,8 +76,9 @@ class LikelihoodPoint:
 class Weighed:
     """Sums of squares and products of (B, F, y) of each run, weighted for given variances.
 
-    `whole` (runs, w, w) are the sums weighted by V^-1, and `log_det` (runs,) is ln det V/R. R is the covariance
-    of the noise alone; V includes the shared variances. `RunSums` explains B, F and y; B has `columns` columns.
+    `whole` (runs, w, w) are the sums weighted by V^-1, and `log_det` (runs,) is ln det V/R. R is the covariance of
+    the noise alone; V includes the shared variances. `RunSums` explains B and y, `RunSums.by_mean` explains F; B
+    has `columns` columns.
     """
 
     whole: Floats
@@ -112,7 +114,10 @@ class Weighed:
 
 
 def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
-    """Return the restricted likelihood at variances (k,) in units of the stated ones; harmonics have no prior."""
+    """Return the restricted likelihood at variances (k,), which are divided by the stated variances.
+
+    Harmonics of the head have no prior.
+    """
     c, m = body.columns, len(beliefs.precision)
     weighed = Weighed.of(body, theta, m)
     whole = weighed.whole
@@ -135,9 +140,9 @@ def at(body: RunSums, theta: Floats, beliefs: Beliefs) -> LikelihoodPoint:
 
 
 def fitted(body: RunSums, beliefs: Beliefs, start: Floats | None = None) -> Floats:
-    """Return the non-negative variances (k,) that maximise the likelihood, by Fisher scoring in relative steps.
+    """Return the non-negative variances (k,) that maximise the likelihood, divided by the stated variances.
 
-    They are in units of the stated ones.
+    The method is Fisher scoring in relative steps.
     """
     theta = np.full(len(beliefs.centre), START) if start is None else np.maximum(start, 100 * LEAST)
     best, damping = at(body, theta, beliefs), 0.0
@@ -182,7 +187,10 @@ SCATTER: Final = "the scatter of its repeats"
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
-    """Test each run for each kind of contradiction; return all results with Holm's p, the smallest first."""
+    """Test whether each run contradicts the others in stand angles, in misfit or in scatter of repeats.
+
+    Return the results of all tests with Holm's p-values, the smallest first.
+    """
     found = [*_angles(body, theta, beliefs), *_fit(body, at(body, theta, beliefs).means), *_scatter(runs)]
     found.sort(key=lambda one: one.p)
     adjusted = holm(np.array([one.p for one in found]))
@@ -258,9 +266,9 @@ def _scatter(runs: list[RunFit]) -> list[Contradiction]:
 def _held_against(
     names: tuple[str, ...], ratio: Floats, dof: Floats, what: str, *, upper: bool
 ) -> list[Contradiction]:
-    """Test each of several mean squares, with degrees of freedom `dof`, against the others.
+    """Test each of several mean squares against the remaining ones; `dof` are their degrees of freedom.
 
-    The test allows for the variation between the other runs. It is one-sided with `upper`, otherwise two-sided.
+    The test allows for the variation between the remaining runs. It is one-sided with `upper`, otherwise two-sided.
     """
     usable = np.flatnonzero(dof > 0)
     found = []
@@ -281,9 +289,9 @@ def _held_against(
 
 @dataclass(frozen=True)
 class Agreed:
-    """The runs that agree, with their sums and noise (4,), and the contradicting runs.
+    """The runs that agree with one another, their sums and noise (4,), and the contradicting runs.
 
-    `most` is true if too many runs contradict.
+    `most` is true if more than the fraction `MOST_PART` of the runs contradict.
     """
 
     runs: list[RunFit]
@@ -363,10 +371,10 @@ def learn(
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
-    """Return the beliefs in which undetermined variances are fixed at their prior, with reasons by kind of angle.
+    """Return the beliefs with undetermined variances fixed at their priors, and the reasons by angle.
 
-    Among variances that cannot be separated, the one with the smallest stated size is fixed first, and so on until
-    the others are determined.
+    Among variances that cannot be separated, the one with the smallest stated u is fixed first, and so on until the
+    remaining variances are determined.
     """
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):

@@ -101,7 +101,7 @@ class ComparedCalibrations:
 
 
 def to_gravity(g_m_s2: Floats | float, other: float = STANDARD_GRAVITY) -> Floats:
-    """Return the factors (…, 12) from coefficients per g of `g_m_s2` (…) to coefficients per g of `other`."""
+    """Return the factors (…, 12) from coefficients per g of `g_m_s2` (…) to those per g of `other`."""
     ratio = other / np.asarray(g_m_s2)[..., None]
     return np.where(np.arange(len(COEFFICIENTS)) < 9, ratio, 1.0)
 

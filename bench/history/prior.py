@@ -33,10 +33,9 @@ LEAST_REPEATS: Final = 10
 class Prior:
     """The prior of an unmeasured unit of type `kind`: `mean` (12,) and `covariance` (12, 12).
 
-    Both are in `signal` per standard g. `between` (12,) is the standard deviation between units; `mean_u` (12,),
-    the standard uncertainty of the mean; `dof`, the degrees of freedom; `shrunk`, the fraction by which
-    correlations were reduced. `units` and `benches` count the units and benches from which the prior was
-    computed.
+    Both are in `signal` per standard g. `between` (12,) is the standard deviation between units, and `mean_u` (12,)
+    is the standard uncertainty of the mean. `dof` are the degrees of freedom. `shrunk` is the fraction by which
+    correlations were reduced. `units` and `benches` count the units and benches from which the prior was computed.
     """
 
     kind: str
@@ -175,12 +174,12 @@ def _positive(matrix: Floats) -> Floats:
 
 @dataclass(frozen=True)
 class Joined:
-    """A calibration combined with a prior: `vector` (12,), `covariance` (12, 12), weight `part` (12, 12) of the
-    prior.
+    """A calibration combined with a prior: `vector` (12,) with its `covariance` (12, 12).
 
-    `chi2`, with twelve degrees of freedom, and its p-value `p` test whether prior and readings agree. If they do
-    not, the calibration is unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean,
-    divided by the u of this difference.
+    `part` (12, 12) is the weight of the prior. `chi2` measures how far readings and prior disagree. Its p-value `p`
+    is from an F distribution, because the prior's covariance is an estimate. If they disagree, the calibration is
+    unchanged and `used` is false. `pull` (12,) is the calibration minus the prior mean, divided by the u of this
+    difference.
     """
 
     vector: Floats

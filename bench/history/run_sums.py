@@ -56,17 +56,17 @@ class RunFit:
     unit: str
 
     def noise(self) -> Floats | None:
-        """Return the noise variances (4,) of x, y, z and the setting error by repeats; None for too few."""
+        """Return the noise variances (4,) of x, y, z and setting error; None for too few repeats."""
         if self.scatter.settings < LEAST_SETTINGS:
             return None
         return _variances(self.scatter, self.floor)
 
 
 def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> RunFit:
-    """Fit one run alone with the stated limits of the stand. Raises `CalibrationError` if that is impossible.
+    """Fit one run alone, with the standard uncertainties `stand_u` of the stand angles, rad.
 
-    `stand_u` has the standard uncertainty of every stand angle, rad, including those that the bench file does not
-    state.
+    `stand_u` has every stand angle, including those that the bench file does not state. Raises `CalibrationError`
+    if the fit is impossible.
     """
     rows = usable_rows(readings, model)
     problem = make_problem(model, rows.conditions(), stand_u)
@@ -100,8 +100,9 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
 
 
 def _walk(conditions: Conditions) -> Floats:
-    """Return shapes (n, WALKS) of a random walk of a bias, of unit variance per hour and mean zero over the
-    run.
+    """Return shapes (n, WALKS) of a random walk of a bias, of unit variance per hour.
+
+    Their mean over the run is zero.
     """
     hours = conditions.elapsed_s / HOUR
     shapes = np.zeros((len(hours), WALKS))
@@ -120,12 +121,13 @@ def _walk(conditions: Conditions) -> Floats:
 
 @dataclass(frozen=True)
 class RunSums:
-    """Runs as arrays of equal shape: `gram` (runs, w, w) of W = (B, H, y), with zeros for columns that a run lacks.
+    """The sums of squares and products of many runs, as arrays of equal shape.
 
-    B has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random`
-    (runs, c) is the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of
-    each column; -1 means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y minus the scatter
-    of repeats; P projects out the run's own coefficients, but not B and H.
+    `gram` (runs, w, w) has the sums for the columns W = (B, H, y) of each run; a column that a run lacks is zero. B
+    has c columns for stand angles and drift, H has `waves` columns for harmonics of the head. `random` (runs, c) is
+    the index of the variance of each column of B; `mean` (runs, c) is the index of the mean of each column; -1
+    means that there is none. `chi2` (runs,) with `dof` (runs,) is y^T P y minus the scatter of repeats; P projects
+    out the run's own coefficients, but not B and H.
     """
 
     names: tuple[str, ...]
@@ -276,10 +278,10 @@ SEEN: Final = 1e-3
 
 
 def _beyond_repeats(run: RunFit, gram: Floats, variances: Floats, angles: int) -> tuple[float, float]:
-    """Return the chi-square of a run beyond the scatter of its repeats, and its degrees of freedom.
+    """Return the chi-square of a run in excess of the scatter of its repeats, and its degrees of freedom.
 
-    Chi-square follows the fit of the coefficients alone; the degrees of freedom also allow for the angles. The
-    test of the run (`bench.history.learning`) subtracts the parts of angles and harmonics from chi-square.
+    Chi-square follows the fit of the coefficients alone; the degrees of freedom also allow for the angles. The test
+    of the run (`bench.history.learning`) subtracts the parts of angles and harmonics from chi-square.
     """
     dof = run.y.size - FIXED - 3 * run.scatter.settings
     size = np.linalg.eigvalsh(gram[:angles, :angles])

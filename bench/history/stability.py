@@ -236,9 +236,9 @@ def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None)
     """Return the averaging time for a signal.
 
     With `wanted`, the result is the shortest time at which the upper 95 % limit of the Allan deviation does not
-    exceed `wanted`. Otherwise the result is the time from which the noise terms fall at less than half the slope
-    of white noise, so that longer averages gain little; or the longest time of the curve if the terms still fall
-    there.
+    exceed `wanted`. If there is none, it is the time of the lowest limit, with `reached` false. Without `wanted`,
+    it is the time from which the noise terms fall at less than half the slope of white noise, so that longer
+    averages gain little. If the terms fall faster to the end, it is the longest time of the curve.
     """
     _, high = curve.limits(terms.freedom)
     if wanted is not None:

@@ -28,7 +28,8 @@ REMOUNT_S: Final = 1200.0
 class Mounting(NamedTuple):
     """One mounting of the block, during which the stand angles stay constant.
 
-    Its text is the installation, "2"; a series after the first is added: "2/3" is installation 2 in series 3.
+    As text it is the label of the installation, such as "2". From the second series on, the text includes the
+    series: "2/3" is installation 2 in series 3.
     """
 
     series: int
@@ -121,8 +122,9 @@ class Conditions:
 
     @property
     def remounted(self) -> Mask:
-        """Mask (n,) of the rows that begin a mounting: the first row, and each row whose mounting differs from the
-        row before.
+        """The mask (n,) of the rows that begin a mounting.
+
+        These are the first row, and each row whose mounting differs from that of the row before.
         """
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 
@@ -206,7 +208,10 @@ class Conditions:
         return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """Return the angles that the level showed: (mounting index, stand-angle column) -> (angle, its u), rad."""
+        """Return each stand angle that the level showed, with its standard uncertainty, rad.
+
+        The keys are (index of the mounting, column of the stand angle).
+        """
         if self.level_rad is None:
             return {}
         found: dict[tuple[int, int], tuple[float, float]] = {}
@@ -291,11 +296,12 @@ SAME_RAD: Final = 1e-3
 
 
 class HeadPath(NamedTuple):
-    """The path of the head to each of m settings: angles `start`, `turn` and `end`, rad, shape (m,), in this order.
+    """The path of the head to each of m settings, as angles in rad, shape (m,).
 
-    `rows` (m,) are the settings' row indices in the conditions; `sits` (m, 3, 3) are the matrices
-    `block_from_platform`. `direction` is the direction of approach: +1, -1, or 0 if unknown. `begins` marks the
-    first setting after a mounting.
+    The head turns from `start` to `turn`, and from there to the setting at `end`. If it reaches the setting without
+    reversing, `turn` equals `start`. `rows` (m,) are the settings' row indices in the conditions; `sits` (m, 3, 3)
+    are the matrices `block_from_platform`. `direction` is the direction of approach: +1, -1, or 0 if unknown.
+    `begins` marks the first setting after a mounting.
     """
 
     rows: Ints

@@ -121,7 +121,9 @@ class ForwardModel:
 
 
 class Stages:
-    """The stages from stand to readings, evaluated once at a point; a step then evaluates only the later stages.
+    """The forward model from stand to readings, evaluated once; the results of all stages are kept.
+
+    After a change of one effect or of the block, only the later stages are evaluated again.
 
     `readings` are the predicted readings in V, shape (n, 3), for a mixture of signal, shorted and reference rows in
     the order of measurement. Where `force` (n, 3), in g, is not NaN, it replaces the force of the installation.
@@ -165,7 +167,10 @@ class Stages:
         )
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
-        """Return the readings (n, 3) with the effect `new` in place of `old` of the model (None: added to it)."""
+        """Return the readings (n, 3) after the effect `new` replaces the effect `old` of the model.
+
+        With None for `old`, the effect `new` is added to the model.
+        """
         model, stage = self._model, new.effect.stage
         change = model.addition(new, self._signals[stage], *self._given)
         if old is not None:

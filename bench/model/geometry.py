@@ -156,9 +156,7 @@ HIDDEN: Final = 1e-3
 
 
 def linear_columns(force: Floats) -> Floats:
-    """Return the design matrix (n, 4) of one channel: the specific force (n, 3) of n readings, and a column of
-    ones.
-    """
+    """Return the design matrix (n, 4) of one channel: the specific force (n, 3) and a column of ones."""
     return np.column_stack([force, np.ones(len(force))])
 
 

@@ -112,7 +112,7 @@ def _run(
 def _after(
     chooser: Chooser, before: Standing, choice: NextPoints, done: Counter[Site], sums: Any, spent_s: float
 ) -> Standing:
-    """Return the state of the simulated run after the chosen points; its noise is rounded by `_grained`."""
+    """Return the simulated state of the run after the chosen points, with its noise rounded by `_grained`."""
     chi2, dof = sums[0] + sums[1]
     size = _grained(NoiseScale(float(chi2), int(dof)).size)
     taken = before.taken | {point.steps[0] for point in choice.points}
@@ -137,7 +137,7 @@ def _reached(chooser: Chooser, standing: Standing, stated: float) -> tuple[Reach
 
 
 def _freedom(done: Counter[Site]) -> tuple[int, int]:
-    """Return two degrees of freedom of the noise: from repeats, and from the model's other residuals."""
+    """Return the degrees of freedom of the noise from repeats, and from all other residuals."""
     readings, groups = sum(done.values()), len(done)
     mounts = len({site.mount for site in done})
     unknown = min(_OF_ONE_MOUNTING * mounts, FIXED)
@@ -149,7 +149,7 @@ def _grained(size: float) -> float:
 
 
 def _scale_of(size: float, dof: int) -> NoiseScale:
-    """Return the noise scale for an estimate `size` of the ratio with `dof` degrees of freedom."""
+    """Return the `NoiseScale` whose ratio of the noise to the stated noise is `size`."""
     return NoiseScale(size**2 * (BELIEVED + dof) - BELIEVED, dof)
 
 
@@ -169,7 +169,10 @@ class NoiseScale:
 
     @property
     def size(self) -> float:
-        """The estimated ratio; the stated noise counts as a prior with `BELIEVED` degrees of freedom."""
+        """The estimated ratio of the noise to the stated noise.
+
+        The stated noise counts as a prior with `BELIEVED` degrees of freedom.
+        """
         return float(np.sqrt((BELIEVED + self.chi2) / (BELIEVED + self.dof)))
 
     @property
@@ -184,9 +187,10 @@ NOTHING_KNOWN: Final = NoiseScale()
 
 
 def scale_of(stand: Stand, readings: Readings) -> NoiseScale:
-    """Return the noise scale from `readings`, by the residuals of a linear fit of block and stand.
+    """Return the ratio of the noise of `readings` to the stated noise, by the residuals of a linear fit.
 
-    The readings need not determine all coefficients; readings of a single mounting leave residuals, too.
+    The fit has the coefficients of the block and the angles of the stand. The readings need not determine all
+    coefficients; readings of a single mounting leave residuals, too.
     """
     own = readings.oriented()
     if not len(own):
@@ -214,12 +218,12 @@ TIME: Final = "time"
 class Standing:
     """The state of an adaptive run, as its record shows it.
 
-    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds
-    the first steps of the measured points, `done` how often each site was measured; `elapsed_s` is the bench
-    time. `refused` and `refused_mounts` are sites and mountings that the operator skipped. `now` maps planned
-    mountings to the mountings in use since the block was remounted. `reached` is the progress of the goals, empty
-    until the readings determine the coefficients. `apart` are sites that would distinguish the possible causes of
-    a misfit.
+    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds the
+    first step of each measured point, `done` how often each site was measured; `elapsed_s` is the bench time.
+    `refused` and `refused_mounts` are the sites and mountings that the operator skipped. After a remount of the
+    block, `now` maps the planned mountings to the mountings in use. `reached` is the progress towards the goals,
+    empty until the readings determine the coefficients. `apart` are sites at which further readings would
+    distinguish the possible causes of a misfit.
     """
 
     visit: int = -1
@@ -248,13 +252,14 @@ class Standing:
 class NextPoints:
     """The next points to measure, in the mounting with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are steps omitted as unnecessary; `taken_up` are steps of the present mounting that were omitted
-    before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its expected
-    states after these points and at the end of the run. `settings` counts the points measured so far, `repeats`
-    those that repeat a site. `next_s` is the time of the next points; `more` and `more_s` are the expected points
-    and time until the end, including the next ones. `rest_s` is the remaining time of the steps that no choice
-    affects. `pool_end` is the step after the last point. `not_needed` counts the points that a stopped run has
-    not measured. `telling_apart` says that points were chosen to distinguish the possible causes of a misfit.
+    `left_out` are the steps that the run omits as unnecessary; `taken_up` are steps of the present mounting that
+    were omitted before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its
+    expected states after these points and at the end of the run. `settings` counts the points measured so far,
+    `repeats` counts those of them that repeat a site. `next_s` is the time of the next points. `more` is the
+    expected number of points until the end, and `more_s` their time, both with the next points. `rest_s` is the
+    remaining time of the steps that no choice affects. `pool_end` is the step after the last point. `not_needed`
+    counts the points that a stopped run has not measured. `telling_apart` says that points were chosen to
+    distinguish the possible causes of a misfit.
     """
 
     visit: int

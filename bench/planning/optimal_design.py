@@ -32,11 +32,11 @@ LEAST_WHOLE_G: Final = 1e-3
 
 @dataclass(frozen=True)
 class Goal:
-    """A goal: a required standard uncertainty `asked` of linear functionals (k, 12) of the coefficients.
+    """A goal: a required standard uncertainty `asked`, in `unit`, of k linear functions of the coefficients.
 
-    The variances of the k functionals are summed. `floor` is the variance that no calibration lowers: the
-    noise of the reading at the verification point `judged` and, in a plan, the errors that no reading
-    reveals. A `loose` goal only makes a plan determine the whole block.
+    Each row of `functionals` (k, 12) is one function; the goal limits the sum of their variances. `floor` is the
+    variance that no calibration lowers: the noise of the reading at the verification point `judged` and, in a plan,
+    the errors that no reading reveals. A `loose` goal serves only to make a plan determine the whole block.
     """
 
     name: str
@@ -60,22 +60,23 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return the goal; a loose goal is raised, if necessary, to twice the u that endless readings would give.
+        """Return a loose goal with a required u of at least twice the u of infinitely many readings.
 
-        `endless` is the variance that endless readings would give.
+        `endless` is the variance that infinitely many readings would give. Other goals are returned unchanged.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal after dividing its permitted variance, in excess of the floor, by `wider2`."""
+        """Return the goal with its permitted variance in excess of the floor divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
 def coefficient_goals(asked: Mapping[str, float]) -> list[Goal]:
-    """Return a goal for each coefficient with an uncertainty in `asked`, V/g and V.
+    """Return a goal for each coefficient to which `asked` assigns a required standard uncertainty.
 
-    Besides coefficient names, "K", "U0" and "all" stand for the coefficients not named otherwise. Raises
-    `CalibrationError` for an unknown name or a size that is not positive.
+    `asked` holds required standard uncertainties, for K in V/g and for U0 in V. Its keys are names of coefficients
+    or the groups "K", "U0" and "all". A name overrides its group, and "K" or "U0" overrides "all". Raises
+    `CalibrationError` for an unknown name and for an uncertainty that is not positive.
     """
     sizes: dict[str, float] = {}
     for wanted in ("all", "K", "U0"):
@@ -101,8 +102,8 @@ def delta_g_goals(
 ) -> list[Goal]:
     """Return a goal for Δg at each verification point `at`; `force` (n, 3) is the specific force there, of 1 g.
 
-    The noise `reading_v` of the reading at the point is included. Raises `CalibrationError` if this noise alone
-    exceeds the required uncertainty.
+    Each goal requires u = `asked_g`. Its floor is the variance from the noise `reading_v`, V, of the reading at the
+    point. Raises `CalibrationError` if this noise alone exceeds the required uncertainty.
     """
     _require_positive("Δg", asked_g)
     functionals, by_signal = modulus_slopes(force, block)
@@ -120,7 +121,7 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals of u = `asked_g` for the measured modulus up to `magnitude_g`, in many directions.
+    """Return goals u = `asked_g` for the modulus of a specific force up to `magnitude_g`, in many directions.
 
     The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all magnitudes between.
     """
@@ -137,7 +138,10 @@ def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal
 
 
 def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) -> Goal:
-    """Return the goal for the error vector of a measured specific force, root mean square over directions."""
+    """Return the goal for the error vector of a measured specific force of `magnitude_g`.
+
+    The goal limits the root mean square of the error over all directions of the force.
+    """
     inverse = np.linalg.inv(block.K)
     force = magnitude_g * directions(DIRECTIONS)[:DIRECTIONS]  # only the evenly spread directions
     weight = np.zeros((12, 12))
@@ -185,9 +189,10 @@ LEAST_FREEDOM: Final = 6
 
 @dataclass(frozen=True)
 class SettingPool:
-    """Settings that may be chosen: whitened derivatives `rows` (c, 3, p), the 12 coefficients first.
+    """The c candidate settings of a design, with whitened derivatives `rows` (c, 3, p) of their signals.
 
-    The p - 12 angles of the mountings are in units of their prior standard uncertainty.
+    The first 12 unknowns are the coefficients. The p - 12 others are angles of the mountings, in units of their
+    prior standard uncertainty.
     """
 
     rows: Floats
@@ -199,14 +204,15 @@ class SettingPool:
 
     @cached_property
     def information(self) -> Floats:
-        """The information matrix of one visit to each candidate, shape (c, p, p)."""
+        """The information matrix of one visit to each setting, shape (c, p, p)."""
         return np.asarray(np.einsum("cip,ciq->cpq", self.rows, self.rows))
 
 
 class ExchangeDesign:
-    """A design: the numbers of visits `counts` (c,) to the candidates, changed one visit at a time.
+    """A design: the number of visits to each candidate setting, `counts` (c,). Moves change it by one.
 
-    The counts stay between `least` and `most` (c,), if given. The design is judged by `goals`.
+    The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the ratios
+    of u to the required u of its `goals`; a lower score is better.
     """
 
     def __init__(
@@ -249,7 +255,10 @@ class ExchangeDesign:
 
     @property
     def largest(self) -> float:
-        """The largest ratio of u to required u over all goals, widened because the noise is estimated."""
+        """The largest ratio of u to required u over all goals.
+
+        u is widened here because the noise is estimated from the same readings.
+        """
         wider2 = widening(3 * self.settings - len(self._prior)) ** 2
         variances = wider2 * (self._variances(self.covariance()) - self._floor) + self._floor
         return self._largest(variances)
@@ -267,7 +276,7 @@ class ExchangeDesign:
     # --- moves --------------------------------------------------------------------------------------
 
     def add_best(self) -> None:
-        """Add the visit, to one of the candidates, that lowers the score most."""
+        """Add one visit to the candidate setting at which a visit lowers the score most."""
         gain = self._after(self.covariance(), 1.0, _POWERS[0])
         self.counts[int(np.argmin(np.where(self.counts < self._most, gain, np.inf)))] += 1
 
@@ -475,7 +484,7 @@ class Stand:
 
 
 def checks_of(goals: Sequence[Goal]) -> list[Setting]:
-    """Return the verification points whose readings are judged by goals."""
+    """Return the verification points that the goals judge: `judged` of each goal that has one, in order."""
     return [goal.judged for goal in goals if goal.judged is not None]
 
 
@@ -493,10 +502,11 @@ def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, floa
 
 @dataclass(frozen=True)
 class Promise:
-    """Promised covariances (12, 12) of the coefficients: `readings` from the readings alone, and the combined one.
+    """The covariances (12, 12) of the coefficients that a calibration of the planned readings will state.
 
-    The floors of `goals` include the errors that no reading reveals, so that with the covariance `readings` their u
-    is the combined standard uncertainty.
+    `readings` is the covariance from the readings alone, `combined` the combined one. The floors of `goals` include
+    the errors that no reading reveals. Their u for the covariance `readings` is therefore the combined standard
+    uncertainty.
     """
 
     goals: tuple[Goal, ...]

@@ -75,7 +75,7 @@ class Sites:
         return SettingPool(self._rows[np.ix_(rows, np.arange(3), columns)])
 
     def choices(self, most: int) -> Iterator[tuple[int, ...]]:
-        """Yield index tuples of mountings to combine, small sets first, without equivalent ones.
+        """Yield sets of mountings, as tuples of indices, small sets first; of equivalent sets only the first.
 
         Two mountings are equivalent if the same block axes lie along and across the shaft, up to sign. The block
         then has the same orientations in both mountings, at different head angles.
@@ -130,7 +130,7 @@ class ChosenPoints:
         return worst(self.promise.goals, self.promise.readings)
 
     def u(self, goal: Goal) -> float:
-        """Return the standard uncertainty of a goal of the promise, as a calibration will state it."""
+        """Return the standard uncertainty that a calibration will state for a goal of the promise."""
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
@@ -223,7 +223,7 @@ def cheapest(
 
 
 def _floored(stand: Stand, sites: Sites, goals: Sequence[Goal]) -> tuple[list[Goal], list[Goal]]:
-    """Return the goals after `Goal.relaxed`, first with their `floor`, then with the `floor` of all settings.
+    """Return the goals after `Goal.relaxed`, and the same goals with the floors for readings at all settings.
 
     Both lists are the given goals if all settings together do not determine the block.
     """
@@ -373,7 +373,10 @@ class Times:
     warm_up_s: float = HOUR
 
     def cost(self, line_hz: float, *, verified: bool) -> Cost:
-        """Return the time of settings and mountings; `verified` adds the verification points at the end."""
+        """Return the expected time of a setting, of a mounting, and of tasks done once.
+
+        Those tasks are the warm-up and, if `verified`, the verification points at the end.
+        """
         read = Read("", "", 1, 1, 1, None, None, SAMPLES, NPLC)
         setting_s = self.turn_s + SETTLE_S + Plan("", (), "").step_duration_s(read, line_hz)
         mount_s = self.mount_s + self.soak_s

@@ -220,7 +220,7 @@ class UntilGoal:
 
     @property
     def ahead(self) -> Goal:
-        """The goal by which a design is judged from its readings alone; its floor includes `hidden`."""
+        """The goal for a covariance from the readings alone; its floor includes `hidden`."""
         return replace(self.goal, floor=self.goal.floor + self.hidden)
 
     @property
@@ -297,7 +297,10 @@ def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
 
 
 def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
-    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to attainable ones."""
+    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to attainable ones.
+
+    An aim without combined goals is returned unchanged.
+    """
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
     readings, combined = (

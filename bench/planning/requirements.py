@@ -144,7 +144,7 @@ class Remedy:
 
 @dataclass(frozen=True)
 class Outlook:
-    """The coefficients and stand angles that planned readings determine, and remedies for the others.
+    """What planned readings determine, and remedies for coefficients and angles that they leave open.
 
     `remedies` are the additional measurements that resolve an undetermined direction, cheapest first.
     """
@@ -172,7 +172,7 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return which coefficients, and which `ANGLES` of each mounting, readings at these settings determine.
+    """Return the coefficients, and the stand angles `ANGLES` of each mounting, that these settings determine.
 
     Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
     each installation is analysed. Raises `KeyError` for an installation that the model lacks.
@@ -192,7 +192,10 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
 
 
 def _distinct(settings: Sequence[Setting]) -> list[Setting]:
-    """Return the settings without repeats, which do not increase the rank."""
+    """Return the settings without repeats, which do not increase the rank.
+
+    Of more than `MOST_MOUNTINGS` mountings, only the first in each installation is kept.
+    """
     distinct = list({(s.mount, s.angle_rad): s for s in reversed(settings)}.values())[::-1]
     if len({s.mount for s in distinct}) <= MOST_MOUNTINGS:
         return distinct
@@ -276,7 +279,7 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each
 def of_delta_g(*, reading: bool) -> Target:
     """Return Δg at the verification points as the target.
 
-    With `reading`, the errors of the readings there count, too.
+    With `reading`, the target includes the errors of the readings at these points.
     """
 
     def variances(budget: Budget) -> Floats:
@@ -316,9 +319,10 @@ def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Targ
 
 @dataclass(frozen=True)
 class Limit:
-    """The largest standard uncertainty `u` of a source with which the accuracy is still met.
+    """The largest standard uncertainty `u` of an error source with which the accuracy is still met.
 
-    `u` is infinite if any size is acceptable, None if the accuracy is not met even at size zero.
+    `u` is infinite if the accuracy is met with any u of the source, and None if it is not met even without the
+    source.
     """
 
     source: ErrorSource
@@ -364,10 +368,10 @@ class Requirement:
         return (self.accuracy / self.k) ** 2
 
     def by_point(self, sizes: Mapping[str, float]) -> Floats:
-        """Return the variances (points, sources), with the standard uncertainties `sizes` by source name.
+        """Return the variances of the target at each point by source, (points, sources).
 
-        Sources without an entry keep their size in the bench file. The estimator weights the readings by these
-        sizes.
+        `sizes` holds standard uncertainties by name of source. A source without an entry keeps its u from the bench
+        file. The estimator weights the readings by these uncertainties.
         """
         sized = [s.sized(sizes[s.name]) if s.name in sizes else s for s in self.sources]
         return self.target(make_budget(self.setup, sized, self.estimator))
@@ -378,10 +382,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point.
-
-        For `sizes` see `by_point`.
-        """
+        """Return k u of the target at the worst point; `sizes` are as in `by_point`."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -402,7 +403,7 @@ class Requirement:
     # --- each alone ---------------------------------------------------------------------------------
 
     def alone(self, source: ErrorSource) -> Limit:
-        """Return the limit of one source if all others keep their sizes in the bench file."""
+        """Return the limit of one source while all other sources keep their u from the bench file."""
 
         def excess(u: float) -> float:
             return float(self.variances({source.name: u}).sum()) / self.allowed2 - 1.0
@@ -426,7 +427,7 @@ class Requirement:
     def _bracket(
         excess: Callable[[float], float], kept: float, size: float, beyond: float
     ) -> tuple[float, float]:
-        """Return two sizes, a factor of ten apart, between which `excess` changes its sign."""
+        """Return two u, a factor of ten apart or less, at which `excess` has opposite signs."""
         if kept == 0.0:
             while excess(size / 10) > 0.0:
                 size /= 10
@@ -438,13 +439,13 @@ class Requirement:
     # --- all together -------------------------------------------------------------------------------
 
     def balanced(self, names: Sequence[str], weights: Mapping[str, float] | None = None) -> list[Limit]:
-        """Return sizes of the named sources with which the accuracy is just met.
+        """Return standard uncertainties of the named sources with which the accuracy is just met.
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
         judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        its size in units of the size in the bench file; the total cost is least if the parts are proportional to
-        (weight × present contribution)^(2/3). A source that stays below its part at any size has no limit; the
-        others share its part. Raises `CalibrationError` if nothing is left to share.
+        the ratio of its new u to its u in the bench file. The total cost is least if the parts are proportional to
+        (weight × present contribution)^(2/3). A source that stays below its part at any u has no limit; the
+        remaining sources share its part. Raises `CalibrationError` if nothing is left to share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)
@@ -486,7 +487,7 @@ class Requirement:
     def _settled(
         self, own: Mapping[str, ErrorSource], sizes: dict[str, float], free: set[str]
     ) -> list[Limit]:
-        """Return all limits, with sizes scaled by a common factor with which the accuracy is just met."""
+        """Return all limits after scaling their u by a common factor, so that the accuracy is just met."""
 
         def excess(log_factor: float) -> float:
             scaled = {n: u if n in free else u * math.exp(log_factor) for n, u in sizes.items()}
@@ -506,5 +507,5 @@ class Requirement:
 
 
 def _factor(variance: float, allowed: float) -> float:
-    """Return the factor by which a size must change so that its variance becomes `allowed`."""
+    """Return the factor by which the u of a source must change so that its variance becomes `allowed`."""
     return math.sqrt(allowed / variance) if variance > 0.0 else math.inf

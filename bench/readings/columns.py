@@ -195,7 +195,10 @@ def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
 
 
 def drift_rad_s(extra: Mapping[str, Labels]) -> tuple[float, float] | None:
-    """Return the rms rates of α1 and α2, rad/s, from text columns; None if no mounting had two level readings."""
+    """Return the rms rates of change of α1 and α2, rad/s, from text columns.
+
+    Return None if no mounting had two level readings.
+    """
     if not all(name in extra for name in DRIFTS):
         return None
     rates = [[float(cell) for cell in extra[name].tolist() if cell.strip()] for name in DRIFTS]
@@ -274,10 +277,10 @@ ROOM_C: Final = "room_c"
 
 
 def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
-    """Return the temperature of the voltmeters or, if never recorded, of the room: °C, shape (n,), NaN where
-    unknown.
+    """Return the temperature of the voltmeters, °C, shape (n,), NaN where unknown.
 
-    `extra` are the text columns of a table. Returns None if neither temperature is recorded.
+    If it was never recorded, the temperature of the room takes its place. `extra` are the text columns of a table.
+    Returns None if neither temperature is recorded.
     """
     own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
     return None if own is None else numbers(extra[own])

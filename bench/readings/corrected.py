@@ -30,8 +30,8 @@ AGAIN: Final = 4
 class Corrections:
     """Corrections of head angles, temperatures and signals; a signal U becomes U (1 + `gain`) + `offset_v`.
 
-    `head` lists (angle, correction), rad, periodic over one turn; `thermometer` lists (temperature in °C,
-    correction in K), and its end values hold beyond the ends.
+    `head` lists pairs (angle, correction), rad, and repeats every turn. `thermometer` lists pairs (temperature in
+    °C, correction in K). Beyond the listed temperatures, the correction is that of the nearest listed one.
     """
 
     gain: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -187,7 +187,7 @@ def _mounting_level(
 def _middle_and_rate(
     alpha: tuple[float, float], u: tuple[float, float], hours: float
 ) -> tuple[float, float, float]:
-    """Return the angle at the middle time between two readings, its u, and the rms of its rate of change.
+    """Return the angle at the middle time between two level readings, its u, and its rms rate of change.
 
     The angle is assumed to change linearly. The rate has the prior 0 ± `FOUNDATION`; if the readings refute this
     prior (`REFUTED`), it becomes 0 ± the observed rate.
@@ -231,8 +231,8 @@ class MistakeName(StrEnum):
 class Wiring:
     """The connection of the three signals to the channels; a mistake may have swapped or reversed some.
 
-    `order` holds, for each true signal x, y, z, the channel (0, 1, 2) that shows it; `signs` holds its sign there,
-    +1 or -1.
+    For each true signal x, y, z, `order` holds the channel (0, 1, 2) that shows it, and `signs` the sign, +1 or -1,
+    with which the channel shows it.
     """
 
     order: tuple[int, int, int] = (0, 1, 2)

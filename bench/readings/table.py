@@ -106,7 +106,7 @@ class Readings:
 
     @property
     def resolution(self) -> float:
-        """The last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
+        """The value of the last digit of the signals, in `unit`; 0 if they have more than 8 decimals.
 
         The signals are means, which may have one more digit than their samples.
         """
@@ -250,7 +250,7 @@ class JoinedPart:
 
 
 def together(parts: Sequence[JoinedPart]) -> Readings:
-    """Return several tables joined into one, in the order in which they were measured.
+    """Return several tables joined into one, in order of time; if times are unknown or overlap, as given.
 
     Series are renumbered to keep the mountings of different tables apart: the first table keeps its numbers, each
     further table continues after the last. All times are put on one clock: with the real intervals if every table
@@ -300,8 +300,9 @@ def _clock_s(table: Readings) -> Floats:
 
 
 def _starts(parts: Sequence[JoinedPart]) -> tuple[list[JoinedPart], list[float], bool]:
-    """Return the tables in order of time, the times of their first readings, s, and whether these times are
-    measured.
+    """Return the tables in order of time, the times of their first readings, s, and true.
+
+    If a time is unknown or tables overlap, return the tables as given, assumed times, and false.
     """
     clocks = [(part, _clock_s(part.readings)) for part in parts]
     lasts = {id(part): float(np.max(clock_s) - clock_s[0]) for part, clock_s in clocks}

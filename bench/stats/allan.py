@@ -62,8 +62,8 @@ def allan_curve(
 
     The averages are over 1, 2, 4, … samples up to a quarter of the record, or over those of `multiples` for which
     the record has at least two differences. With `gaps`, samples may be NaN, and an average needs half of its
-    samples. Errors speak of the signal by its `name`. Raises `CalibrationError` if the record is too short, the
-    signal never changes, or a sample is not a number.
+    samples. Error messages call the signal `name`. Raises `CalibrationError` if the record is too short, the signal
+    never changes, or a sample is not a number.
     """
     known = np.isfinite(signal)
     if not (gaps or np.all(known)):
@@ -150,8 +150,9 @@ def _covariance(t: Floats, alpha: int, width: float) -> Floats:
 
 
 def _kernel(t: Floats, alpha: int) -> Floats:
-    """Return |t|^(3 - alpha), times ln |t| for odd alpha: the covariance of phases `t` (…) apart, up to
-    its sign.
+    """Return the covariance of two phases that are `t` (…) averages apart, up to its sign.
+
+    It is |t|^(3 - alpha), for odd alpha multiplied by ln |t|.
     """
     size = np.abs(t)
     power = size ** (3 - alpha)
@@ -162,9 +163,9 @@ def _kernel(t: Floats, alpha: int) -> Floats:
 class NoiseTerm:
     """A noise term: symbol, name, unit (relative to that of the signal), and contribution to sigma^2.
 
-    A term of size x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its spectrum.
-    `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this term
-    prevails.
+    A term with the coefficient x contributes `factor` x^2 tau^`power`. `alpha` is the power of frequency in its
+    spectrum. `alike` is the correlation, from simulations, between the Allan variances at tau and 2 tau if this
+    term prevails.
     """
 
     symbol: str
@@ -194,8 +195,8 @@ class NoiseTerms:
     """Fitted noise terms: squares of Q, N, B, K, R (5,) with covariance (5, 5), and the test of the fit.
 
     `freedom` (k,) are the degrees of freedom of the curve's values. `p` is the p-value of the misfit; it is small
-    if the spectrum has lines (vibration), which these terms do not describe. If it is below 0.001, the covariance
-    is widened by the misfit (Birge ratio).
+    if the spectrum has lines (vibration), which these terms do not describe. If `p` is below 0.001, the covariance
+    is multiplied by the reduced chi-square of the misfit (squared Birge ratio).
     """
 
     squares: Floats
@@ -277,14 +278,17 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
 
 
 def _columns(tau_s: Floats) -> Floats:
-    """Return the Allan variance of each noise term of size 1 at averaging times (…), shape (…, 5)."""
+    """Return the Allan variance of each noise term of coefficient 1 at averaging times (…), shape (…, 5)."""
     powers = np.array([float(term.power) for term in TERMS])
     factors = np.array([term.factor for term in TERMS])
     return np.asarray(factors * tau_s[..., None] ** powers, dtype=np.float64)
 
 
 def _start(curve: AllanCurve, columns: Floats, measured: Floats) -> Floats:
-    """Return the terms' squared sizes to start from: equal nonzero parts of the mid-curve variance."""
+    """Return start values for the squared coefficients of the terms.
+
+    Each term contributes an equal part of the variance in the middle of the curve.
+    """
     middle = len(measured) // 2
     return np.asarray(measured[middle] / columns[middle] / len(TERMS), dtype=np.float64)
 

@@ -110,12 +110,12 @@ BASES: Final = ("stated", "scaled", "scatter")
 
 @dataclass(frozen=True)
 class Centre:
-    """The centre of a chart, and the factor on the stated u for its limits, from a baseline of m runs.
+    """The centre of a chart and the variance for its limits, from a baseline of m runs.
 
     `value` (…, p) of p coefficients has the `covariance` (p, p). `scale` (…,) is the factor on the stated
     covariance: 1 if the stated u is used, else the squared Birge ratio. `scatter` (…, p, p) is the sample
-    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or
-    `scatter`, infinite if the stated u is used. Leading axes are separate charts.
+    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or `scatter`,
+    infinite if the stated u is used. Leading axes are separate charts.
     """
 
     value: Floats
@@ -225,9 +225,10 @@ def judge(
 ) -> JudgedDeviations:
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
-    With `smoothing` below 1 their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1} of the deviations r
-    from the centre, Z_0 = 0. `shared` (n, p, q) is the effect on each run of q errors common to all runs, each 1 u
-    in size. With `settled` the EWMA has its asymptotic variance from the first value on, as in published tables.
+    With `smoothing` below 1, their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1}, Z_0 = 0, where r
+    are the deviations from the centre. `shared` (n, p, q) is the effect on each run of q errors that all runs
+    share; each error equals its standard uncertainty. With `settled`, the EWMA has its asymptotic variance from the
+    first value on, as in published tables.
     """
     weight = 1.0 - smoothing
     deviation = _filtered(values - centre.value[..., None, :], smoothing, weight, -2)
@@ -303,7 +304,7 @@ class ChartDesign:
 
     @property
     def alpha(self) -> float:
-        """False-alarm probability per run of T² alone, and of the short-term standard deviation alone."""
+        """False-alarm probability per run of T², and equally of the short-term standard deviation."""
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
@@ -314,9 +315,9 @@ class ChartDesign:
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
-        """Return the alarm probability of a single coefficient.
+        """Return the false-alarm probability per run of a single coefficient out of `dimensions`.
 
-        If `dimensions` coefficients each have it, together they have the alarm probability of T².
+        Their sum over all coefficients is the false-alarm probability of T².
         """
         return self.alpha / dimensions
 
@@ -398,7 +399,10 @@ class Components:
 
 
 def components_of(values: Floats, covariance: Floats, noise: Floats) -> Components:
-    """Return the components of a baseline (m, p), m above 1, in which each run has `covariance` (p, p)."""
+    """Return the components of variability of a baseline (m, p) of more than one run.
+
+    Each run has the stated covariance `covariance` (p, p) and the noise `noise` (p,).
+    """
     runs, p = values.shape
     left = values - values.mean(axis=0)
     stated, scatter = u_of(covariance), values.std(axis=0, ddof=1)
@@ -446,9 +450,10 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of lines through coefficients (n, p) with u (p,) and `dof`, at times `years` (n,).
+    """Return the slopes of lines fitted to coefficients (n, p) at times `years` (n,).
 
-    `u_known` is the standard uncertainty, per year, of a known drift that the values no longer contain.
+    `u` (p,) is the standard uncertainty of each value, with `dof` degrees of freedom. `u_known` is the standard
+    uncertainty, per year, of a known drift that was already subtracted from the values.
     """
     centred = years - years.mean()
     spread = float(centred @ centred)

@@ -1,14 +1,15 @@
 """Crossed random effects of units and benches on one coefficient of many calibrations.
 
 value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
-independent. A group is a type of unit on a connected set of benches. The sizes maximise the restricted likelihood.
+independent. A group is a type of unit on a connected set of benches. The "sizes" are the standard deviations of
+unit effects, bench effects and excess; they maximise the restricted likelihood.
 
 There are many units and few benches. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
 and benches (Schur complement). So the work is proportional to the number of values.
 
 Sources: S. R. Searle, G. Casella, C. E. McCulloch, Variance Components (1992), ch. 6 and 7 (equations, prediction);
 A. R. Gilmour, R. Thompson, B. R. Cullis, Biometrics 51 (1995) 1440 (average information); R. N. Kackar, D. A.
-Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions whose sizes are estimates).
+Harville, J. Am. Stat. Assoc. 79 (1984) 853 (u of predictions with estimated sizes).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ UNIT, BENCH, EXCESS = 0, 1, 2
 LEAST_PART: Final = 1e-3
 """A size below this fraction of its scale (see `scales_of`) counts as zero."""
 TRIED: Final = 0.1
-"""A size below this fraction of its scale is tried as zero, and stays zero unless the likelihood falls."""
+"""A size below this fraction of its scale is set to zero, unless the likelihood falls by that."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +101,7 @@ class Crossing:
 
     @cached_property
     def repeated(self) -> int:
-        """Number of values beyond the first of each unit: degrees of freedom within units."""
+        """Degrees of freedom within units: the number of values beyond the first of each unit."""
         return len(self.unit) - self.units
 
     def alone(self) -> Ints:
@@ -111,13 +112,13 @@ class Crossing:
 
 @dataclass(frozen=True)
 class MixedModelEquations:
-    """The solved mixed model equations for groups and benches at given `sizes`, with the units eliminated.
+    """The mixed model equations for groups and benches, solved at given `sizes`, with the units eliminated.
 
-    `w` (n,) are weights; `W` (U,) is the sum of the weights of each unit; `s` (U,) is the term that the
-    elimination of each unit subtracts. `lower` (T + B, T + B) is the Cholesky factor of the equations for T
-    groups and B benches; each bench's column is multiplied by the size of benches. `solution` (T + B,) are the
-    means of groups, then the bench effects divided by their size. `likelihood` is the restricted log likelihood,
-    up to a constant.
+    `sizes` (3,) are standard deviations of unit effects, bench effects and excess. `w` (n,) are weights; `W` (U,)
+    is the sum of the weights of each unit; `s` (U,) is the term that the elimination of each unit subtracts.
+    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches. The unknowns,
+    `solution` (T + B,), are the means of groups, then the bench effects divided by their standard deviation.
+    `likelihood` is the restricted log likelihood, up to a constant.
     """
 
     crossing: Crossing
@@ -136,7 +137,7 @@ class MixedModelEquations:
 
     @cached_property
     def bench_covariance(self) -> Floats:
-        """Covariance (B, B) of the prediction errors of bench effects, for known sizes."""
+        """Covariance (B, B) of the prediction errors of bench effects, for known standard deviations."""
         inverse = linalg.cho_solve((self.lower, True), np.eye(len(self.lower)))
         own = inverse[self.crossing.groups :, self.crossing.groups :]
         return np.asarray(self.sizes[BENCH] ** 2 * own)
@@ -190,9 +191,10 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
 
 
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
-    """Solve the equations for values `y` (n,) with stated `variance` (n,) and sizes (3,), 1 sigma.
+    """Solve the equations for values `y` (n,) with stated variances `variance` (n,).
 
-    If the size of units is infinite, the units are fixed effects, and only differences within units count.
+    `sizes` (3,) are the standard deviations of unit effects, bench effects and excess. If that of the units is
+    infinite, the units are fixed effects, and only differences within units count.
     """
     w = 1.0 / (variance + sizes[EXCESS] ** 2)
     W = np.bincount(crossing.unit, w, crossing.units).astype(np.float64)
@@ -233,10 +235,11 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 
 @dataclass(frozen=True)
 class Crossed:
-    """The estimated sizes of units, benches and excess for one coefficient.
+    """The estimated standard deviations of unit effects, bench effects and excess for one coefficient.
 
-    `at` are the equations solved at these sizes. `y` (n,) are the values minus `centre`, `variance` (n,)
-    their stated variances; `variance_covariance` (3, 3) is the covariance of the estimated squared sizes.
+    `at` are the equations solved at these standard deviations. `y` (n,) are the values minus `centre`, `variance`
+    (n,) their stated variances. `variance_covariance` (3, 3) is the covariance of the squares of the estimated
+    standard deviations.
     """
 
     at: MixedModelEquations
@@ -247,12 +250,12 @@ class Crossed:
 
     @property
     def sizes(self) -> Floats:
-        """Sizes of units, benches and excess, 1 sigma, (3,)."""
+        """Standard deviations (3,) of unit effects, bench effects and excess."""
         return self.at.sizes
 
     @property
     def u_sizes(self) -> Floats:
-        """Standard uncertainties of the sizes (3,); NaN for a size of zero."""
+        """Standard uncertainties (3,) of the estimated standard deviations; NaN for an estimate of zero."""
         u = np.sqrt(np.diag(self.variance_covariance))
         return np.where(self.sizes > 0, u / (2.0 * np.where(self.sizes > 0, self.sizes, 1.0)), np.nan)
 
@@ -291,10 +294,11 @@ def fit(
     without: int | None = None,
     units_fixed: bool = False,
 ) -> Crossed:
-    """Return the sizes that maximise the restricted likelihood for values (n,) with stated variances (n,).
+    """Return the standard deviations of greatest restricted likelihood for values (n,).
 
-    `without` is the index of a size held at zero. With `units_fixed` only differences within units count,
-    and the size of units is infinite.
+    `variance` (n,) are the stated variances of the values. `without` is the index of a standard deviation that is
+    fixed at zero. With `units_fixed` only differences within units count, and the standard deviation of units is
+    infinite.
     """
     centre = float(np.median(values))
     y = values - centre
@@ -325,7 +329,10 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the upper 95 % limit of size `which` (unit, bench or excess), by the profile likelihood."""
+    """Return the upper 95 % limit of one standard deviation, by the profile likelihood.
+
+    `which` is its index: unit, bench or excess.
+    """
     at = found.at
     fixed = np.isinf(found.sizes)
 
@@ -340,9 +347,10 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough standard deviations (3,) of unit effects, bench effects and excess scatter from `y` (n,).
+    """Return rough standard deviations (3,) of unit effects, bench effects and excess from values `y` (n,).
 
-    That of the units is the spread of their means; the two others are the spread within units.
+    The first is the standard deviation of the units' means about the mean of their group. The second and the third
+    are both the standard deviation within units.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
@@ -355,7 +363,10 @@ def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
 
 
 def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
-    """Return the covariance (3, 3) of the estimated squared sizes; zero where a size is zero or infinite."""
+    """Return the covariance (3, 3) of the estimated variances of units, benches and excess.
+
+    It is zero for a variance that is zero or infinite.
+    """
     free = np.flatnonzero((at.sizes > 0) & np.isfinite(at.sizes))
     covariance = np.zeros((3, 3))
     if len(free):

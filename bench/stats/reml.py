@@ -51,7 +51,7 @@ class ComponentColumns:
         return np.asarray(np.add.reduceat(by_column, self.starts, axis=-1))
 
     def sized(self, sizes: Floats) -> sparse.csc_array:
-        """Return each column multiplied by the size (k,) of its component."""
+        """Return the columns, each multiplied by the standard deviation `sizes` (k,) of its component."""
         by_column = np.repeat(sizes, self.widths)
         data = self.whole.data * np.repeat(by_column, np.diff(self.whole.indptr))
         return sparse.csc_array((data, self.whole.indices, self.whole.indptr), self.whole.shape)
@@ -191,7 +191,7 @@ class ComponentsAsked:
 
 
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
-    """Return the tests of the components after the first `inside`.
+    """Test the components that the model does not contain yet: all after the first `inside`.
 
     The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
     likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
@@ -237,10 +237,11 @@ LIMIT_AT_REST: Final = 0.01
 
 @dataclass(frozen=True)
 class Profile:
-    """The profile of the restricted likelihood over size s (1 sigma); other variances are linear in s².
+    """The restricted log likelihood as a function of one standard deviation s, other variances adjusted.
 
-    The linear relation is exact near the maximum, which is at `variances` (k,). `follow` (k,) is each variance's
-    change per change of s²; `which` is the index of s; `scale` is a start value.
+    The other variances change linearly with s², which is exact near the maximum at `variances` (k,). `follow` (k,)
+    is the change of each variance per change of s². `which` is the index of the variance s²; `scale` is a rough
+    value of s.
     """
 
     likelihood: Callable[[Floats], float]
@@ -256,17 +257,18 @@ class Profile:
 
     @property
     def middle(self) -> float:
-        """The size of maximum likelihood."""
+        """The standard deviation s at the maximum of the likelihood."""
         return float(np.sqrt(self.variances[self.which]))
 
     def lost(self, size: float) -> float:
-        """Return how far the log likelihood at a size is below its maximum."""
+        """Return by how much the log likelihood at s = `size` is below its maximum."""
         moved = self.variances + self.follow * (size**2 - self.variances[self.which])
         return self.greatest - self.likelihood(np.maximum(moved, 0.0))
 
     def beyond(self, loss: float) -> float:
-        """Return a size at which the loss of log likelihood is at least `loss`; infinite without such a
-        size.
+        """Return an s above the maximum at which the log likelihood is lower by at least `loss`.
+
+        Return infinity if the log likelihood does not fall so far up to `MOST_TIMES` times `scale`.
         """
         end = max(1.2 * self.middle, 0.2 * self.scale)
         while self.lost(end) < loss:
@@ -276,7 +278,7 @@ class Profile:
         return end
 
     def most(self) -> float:
-        """Return the upper 95 % limit of s to a relative `LIMIT_AT_REST`; inf if none."""
+        """Return the upper 95 % limit of s, to the relative accuracy `LIMIT_AT_REST`; infinity if none."""
         end = self.beyond(ONE_SIDED)
         if not np.isfinite(end):
             return end
@@ -287,7 +289,7 @@ class Profile:
         )
 
     def mean(self) -> float:
-        """Return the root mean square of the size, weighted by the likelihood.
+        """Return the root mean square of s, weighted by the likelihood.
 
         The result is `middle` if the likelihood does not fall towards infinity.
         """
@@ -308,9 +310,10 @@ def profile_of(
     free: Sequence[int],
     scale: float,
 ) -> Profile:
-    """Return the profile along size `which`; the variances `free` were estimated, the others are fixed.
+    """Return the profile over the square root of variance `which`; only the variances `free` were estimated.
 
-    `information` (k, k) is the information on the variances at the maximum of the likelihood.
+    All other variances keep their values. `information` (k, k) is the information on the variances at the maximum
+    of the likelihood.
     """
     others = [j for j in free if j != which]
     follow = np.zeros(len(variances))

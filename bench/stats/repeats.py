@@ -59,9 +59,10 @@ class Term:
 class Repeats:
     """The scatter of values between repeats, compared with their u.
 
-    `scatter` is about the means of all repeats. `held_before` and `held_after` are the ratios for repeats
-    left out: before with u as stated, after with the u that `term` widens. They are None for fewer than three
-    repeats. `term` is None if the stated u is large enough.
+    `scatter` is the scatter about the means of all repeats. For `held_before` and `held_after`, each repeat is left
+    out and predicted from the remaining repeats: `held_before` uses the stated u, `held_after` the u that `term`
+    widens. `term` and `held_after` are None if the stated u is large enough. All three are None for fewer than
+    three repeats.
     """
 
     scatter: float
@@ -125,7 +126,7 @@ def _widening(freedom: float) -> float:
 
 
 def _kernel(u: Floats, name: TermName | None) -> Floats:
-    """Return the covariances (g, r, r) that a term of size 1 adds; zero for a missing repeat."""
+    """Return the covariances (g, r, r) that a term of `size` 1 adds; zero for a missing repeat."""
     groups, repeats = u.shape
     there = np.isfinite(u)
     match name:
@@ -169,9 +170,10 @@ def _size(value: Floats, u: Floats, name: TermName) -> float:
 
 
 def _held_out(value: Floats, u: Floats, name: TermName | None) -> tuple[Floats, float]:
-    """Predict each repeat from the others; return the squared errors divided by their variances, and ln p.
+    """Predict each repeat from the remaining repeats; return the squared errors, and ln p.
 
-    The squared errors are (g, r, c), NaN without a prediction. p is the joint probability density of the repeats.
+    The squared errors (g, r, c) are divided by their variances; they are NaN without a prediction. p is the joint
+    probability density of the repeats.
     """
     squares, log_p = np.full(value.shape, np.nan), 0.0
     repeats = value.shape[1]

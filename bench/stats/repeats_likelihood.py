@@ -3,7 +3,7 @@
 In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T. S
 are their sums of squares and products with f degrees of freedom; R_k is the derivative of R by variance k. Fisher
 scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
-closed form (Sherman and Morrison). A score test of equal sizes decides whether one size is used for all channels.
+closed form (Sherman and Morrison). A score test decides whether all channels have one variance.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc. 44
 (1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from zero.
 """
@@ -54,13 +54,14 @@ def sizes_of(
     start: Floats | None = None,
     about: Floats | None = None,
 ) -> Floats:
-    """Return the REML variances of x, y, z (unit^2) and of the head's setting (rad^2), one row per run, (runs, 4).
+    """Return the REML variances of x, y, z (unit^2) and of the head's setting (rad^2), shape (runs, 4).
 
     `scatter` (runs, groups, 3, 3) are sums of squares and products, `freedom` (groups,) their degrees of freedom,
-    `slope` (runs, groups, 3) is du/dphi, unit/rad. `floor` (runs,), or one number, is the lower limit of the noise.
-    `by` is `OWN` or `COMMON`; `start` (runs, 4) are start values. A run without any slope has a setting error of
-    zero. `about` (runs,) gives each channel's variance a scaled inverse chi-square prior about this value, with
-    `LEAST_DOF` degrees of freedom, which keeps it from zero.
+    `slope` (runs, groups, 3) is du/dphi, unit/rad. `floor` (runs,), or one number, is the least standard deviation
+    of the noise. With `by` = `OWN` each channel has a separate variance, with `COMMON` all three have the same.
+    `start` (runs, 4) are start values. If all slopes of a run are zero, its setting has the variance zero. `about`
+    (runs,) gives each channel's variance a scaled inverse chi-square prior about this value, with `LEAST_DOF`
+    degrees of freedom, which keeps it from zero.
     """
     weight = freedom.astype(np.float64)
     slope2 = _mean_slope2(slope, weight)
@@ -89,10 +90,11 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Sizes:
-    """The accepted variances (runs, 4) of x, y, z and the setting, with the channels' degrees of freedom (runs, 3).
+    """The accepted variances (runs, 4) of x, y, z and the setting, with degrees of freedom.
 
-    `p_equal` (runs,) is the p-value of the hypothesis that the channels have one size; if it is at least `EQUAL_P`,
-    a run has one size for all three.
+    `dof` (runs, 3) are the degrees of freedom of the channels. `p_equal` (runs,) is the p-value of the hypothesis
+    that the channels have equal variances. If it is at least `EQUAL_P`, the run has one variance for all three
+    channels.
     """
 
     variances: Floats
@@ -101,16 +103,16 @@ class Sizes:
 
     @property
     def alike(self) -> Mask:
-        """Mask of the runs that have one size for all three channels, shape (runs,)."""
+        """Mask of the runs that have one variance for all three channels, shape (runs,)."""
         return np.asarray(self.p_equal >= EQUAL_P)
 
 
 def believed_sizes(
     scatter: Floats, freedom: Ints | Floats, slope: Floats, floor: float | Floats, *, one_size: bool = False
 ) -> Sizes:
-    """Return the noise of many runs, with a size for each channel if the channels differ.
+    """Return the noise variances of many runs, separate for each channel if the channels differ.
 
-    The channels have one size with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
+    All channels have one variance with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
     for the other arguments.
     """
     common = sizes_of(scatter, freedom, slope, floor, COMMON)
@@ -138,9 +140,9 @@ def believed_sizes(
 
 
 def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Floats) -> Floats:
-    """Return the p-value (runs,) of the hypothesis that the channels have one size, by Rao's score test.
+    """Return the p-value (runs,) of equal variances of the channels, by Rao's score test.
 
-    The test is at the sizes `common` (runs, 4) that maximise the likelihood with one size. The setting's variance
+    `common` (runs, 4) are the variances that maximise the likelihood under this hypothesis. The setting's variance
     is left out of the test if it is at its lower bound.
     """
     score, information = _score_and_information(scatter, freedom.astype(np.float64), slope, common)
@@ -157,8 +159,8 @@ def equality(scatter: Floats, freedom: Ints | Floats, slope: Floats, common: Flo
 def freedom_of(freedom: Ints | Floats, slope: Floats, variances: Floats, prior_dof: float = 0.0) -> Floats:
     """Return the degrees of freedom (runs, 4) of the `variances` (runs, 4) of x, y, z and the setting.
 
-    They are 2 v^2/var(v), with var(v) from the information on all four variances, so that degrees of freedom spent
-    on the setting error do not count. Each channel has `prior_dof` in addition.
+    They are 2 v^2/var(v), with var(v) from the information on all four variances. Degrees of freedom spent on the
+    setting error are therefore not counted for the channels. `prior_dof` is added for each channel.
     """
     information = _information(_Inverse.of(variances, slope), freedom.astype(np.float64))
     scaled = information * variances[:, :, None] * variances[:, None, :]
@@ -240,9 +242,9 @@ def _mean_slope2(slope: Floats, weight: Floats) -> Floats:
 
 
 def _shown(variance: Floats, slope2: Floats) -> Floats:
-    """Return the setting variance, rad^2, that causes `variance` in signals of mean squared slope `slope2`.
+    """Return the variance of the setting, rad^2, that causes the `variance` of the signals, unit^2.
 
-    It is 1 where the slope is zero.
+    `slope2` is the mean squared slope of the signals; the result is 1 where it is zero.
     """
     return np.where(slope2 > 0.0, variance / np.where(slope2 > 0.0, slope2, 1.0), 1.0)
 

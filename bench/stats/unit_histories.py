@@ -1,7 +1,7 @@
 """A model of units measured over years on several benches: scatter, benches, drift rates and random walks.
 
 value = level of the unit + bench effect + rate of the unit x time + random walk + scatter + error of stated u, all
-normal and independent. Only contrasts within units count. The sizes maximise the restricted likelihood.
+normal and independent. Only contrasts within units count. The variances maximise the restricted likelihood.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ LEAST_PART: Final = 1e-6
 class SameLength:
     """The m units with n runs each, which have r = n - 1 contrasts.
 
-    `rows` (m, n) are the rows of the units' runs in the table, in order of time. `contrast` (r, n) is the
-    contrast matrix. `time` (m, r) are the contrasts of the times; `walk` (m, r, r) is the covariance of the
-    contrasts of a random walk of size one; `bench` (m, r, B) are the contrasts of the bench indicators.
+    `rows` (m, n) are the rows of the units' runs in the table, in order of time. `contrast` (r, n) is the contrast
+    matrix. `time` (m, r) are the contrasts of the times; `walk` (m, r, r) is the covariance of the contrasts of a
+    random walk of unit variance in a year; `bench` (m, r, B) are the contrasts of the bench indicators.
     """
 
     rows: Ints
@@ -134,7 +134,7 @@ class Within:
 
     @cached_property
     def scales(self) -> Floats:
-        """Typical sizes (4,) of the variances, as start values."""
+        """Rough values (4,) of the variances, used as start values."""
         dof = self.of.dof
         square = sum(float(np.sum(seen[..., 0] ** 2)) for _, seen, _ in self._data) / dof
         square = max(square, float(np.median(self.variance)))
@@ -176,7 +176,10 @@ class Within:
         return likelihood, kept, G, h, X
 
     def fit(self, kept: Sequence[int], scatter: float = 0.0) -> HistoryLikelihood:
-        """Return the maximum of the likelihood over the variances `kept`; all others are zero, except `scatter`."""
+        """Return the maximum of the likelihood over the variances whose indices are in `kept`.
+
+        The variance of the scatter, if not in `kept`, has the value `scatter`. All other variances are zero.
+        """
         scale = self.scales
         places = list(kept)
 
@@ -196,7 +199,10 @@ class Within:
         return self.at(full(np.where(found.x < LEAST_PART, 0.0, found.x)))
 
     def profile(self, best: HistoryLikelihood, which: int, free: Sequence[int]) -> Profile:
-        """Return the profile along size `which` from the maximum `best`, where `free` variances were estimated."""
+        """Return the profile over the square root of variance `which`, from the maximum `best`.
+
+        `free` are the indices of the variances that were estimated.
+        """
         return profile_of(
             self.likelihood, best.variances, best.information, which, free, float(np.sqrt(self.scales[which]))
         )
@@ -238,13 +244,13 @@ def _gradient_and_information(
 
 @dataclass(frozen=True)
 class CalibrationSpread:
-    """Scatter of a laboratory's calibrations without the units' own drift, 1 sigma each.
+    """The scatter of a laboratory's calibrations without the units' own drift, as standard deviations.
 
-    `scatter` is the scatter beyond the stated u: the root mean square of possible sizes, weighted by likelihood, so
-    that it is larger for few calibrations. `scatter_least` and `scatter_most` are its 90 % limits. `bench` is the
-    maximum-likelihood spread of the benches, `bench_most` its upper 95 % limit. `rate` (per year) and `walk` (over
-    a year) are the drifts of units, zero unless significant; `p` is the p-value of the hypothesis that units do not
-    drift.
+    `scatter` is the scatter in excess of the stated u: the root mean square of its possible values, weighted by
+    their likelihood. It is therefore larger for few calibrations. `scatter_least` and `scatter_most` are its 90 %
+    limits. `bench` is the maximum-likelihood standard deviation between benches, `bench_most` its upper 95 % limit.
+    `rate` (per year) and `walk` (over a year) are the drifts of units, zero unless significant. `p` is the p-value
+    of the hypothesis that units do not drift.
     """
 
     scatter: float

@@ -30,8 +30,9 @@ from drivers.clock import utc_now
 def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
     """Register the validation in a folder as accepted by an authorised person; return the register.
 
-    The first validation is accepted in the same way. Raises `Refused` if the validation is of another program, has
-    a failed check, or differs from its seal; if the person is not authorised; and if no reason is given.
+    The first validation is accepted in the same way. Raises `Refused` if the validation has a failed check, differs
+    from its seal, is registered already, or was made before the program was changed. Also raises it if the
+    laboratory file or the reason is missing, or if the person is not authorised.
     """
     laboratory, person, reason = _authority(request)
     content, result = _sealed(folder)
@@ -67,7 +68,10 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
 
 
 def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
-    """Register the withdrawal of a validation. Raises `Refused` as `accept`, and for an unknown number."""
+    """Register the withdrawal of the validation `number`; return the register.
+
+    Raises `Refused` for an unknown number, without laboratory file or reason, and if the person is not authorised.
+    """
     laboratory, person, reason = _authority(request)
     with opened(Validations.beside(laboratory)) as register:
         found = next((one for one in register.standing() if one.number == number), None)
@@ -122,7 +126,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 
 
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
-    """Return the result in a folder, as bytes and parsed. Raises `Refused` if it is not as sealed."""
+    """Return the result in a folder, as bytes and parsed. Raises `Refused` if it differs from its seal."""
     try:
         with refusing("name the folder of a validation", folder / RESULT, verb="read"):
             content, seal = read_regular(folder / RESULT), read_seal(folder)

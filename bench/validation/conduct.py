@@ -66,7 +66,8 @@ THRESHOLD_U: Final = 0.1
 def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationResult:
     """Carry out a validation; write result, page, PDF and seal.
 
-    Raises `Refused` for an unusable folder or key, `FileMistakes` for a bench file with mistakes.
+    Raises `Refused` for an unusable folder, key or release, and if `request.against` names no run. Raises
+    `FileMistakes` for a bench file with mistakes.
     """
     began, clock, cpu_s = utc_now(), SystemClock(), _cpu_s()
     began_s = clock.now_s()
@@ -116,7 +117,7 @@ def validated(request: Validate, passphrase: Callable[[], bytes]) -> ValidationR
 
 
 def _noted(laboratory: Path, folder: Path, result: ValidationResult) -> str:
-    """Return the number of a failed validation in the register of failures, or why it is not there."""
+    """Enter a failed validation in the register of failures; return its number, or why that failed."""
     try:
         return note_validation(laboratory, folder.name, result)
     except Refused as why:  # a folder that cannot be written must not cost the result

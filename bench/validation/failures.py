@@ -81,7 +81,10 @@ def failures(request: Failures) -> FailuresResult:
 
 
 def note_validation(laboratory: Path, name: str, result: ValidationResult) -> str:
-    """Note a failed validation, by the name of its folder, in the register; return its number. Raises `Refused`."""
+    """Add a failed validation, by the `name` of its folder, to the register; return the failure's number.
+
+    Raises `Refused` if the register cannot be used.
+    """
     data = {
         "run": name,
         "created": result.began,

@@ -249,7 +249,8 @@ def comparison_loss(context: Context) -> Iterator[Finding]:
     """Propagate the loss x1² + x2² of a power meter, for three values of x1, with and without correlation.
 
     The tolerance is 5e-6: one digit for x1 = 0, two for the others. The largest standard error is 1.1e-6, of the
-    upper end for x1 = 0.01 and r = 0.9, whose mean is 0.7e-6 below the printed value: 4 standard errors, p < 1e-4.
+    upper end for x1 = 0.01 and r = 0.9. The mean of this end is 0.7e-6 below the printed value, so the tolerance
+    leaves 4 standard errors: p < 1e-4.
     """
     u = 5000.0
     for (r, x1), (y, u_y, low, high, first) in LOSS.items():
@@ -266,7 +267,10 @@ def comparison_loss(context: Context) -> Iterator[Finding]:
 
 
 def trapezoid(rng: np.random.Generator, limit: float, inexact: float) -> Floats:
-    """Return draws (TRIALS,) between ends at -limit and limit that are inexact by `inexact` (JCGM 101, 6.4.3)."""
+    """Return draws (TRIALS,) of a rectangular distribution with inexact ends (JCGM 101:2008, 6.4.3).
+
+    The ends are ±(`limit` ± `inexact`): the half-width varies uniformly within `inexact` of `limit`.
+    """
     end = -limit + inexact * rng.uniform(-1.0, 1.0, TRIALS)
     return np.asarray(end - 2.0 * end * rng.random(TRIALS))
 
@@ -276,8 +280,9 @@ def trapezoid(rng: np.random.Generator, limit: float, inexact: float) -> Floats:
 def gauge_block(context: Context) -> Iterator[Finding]:
     """Propagate the calibration of a gauge block: t, rectangular, trapezoidal and U-shaped distributions.
 
-    The standard errors of deviation and u are 0.06 nm and 0.04 nm, the tolerance is that of two digits, 0.5 nm. An
-    end has 0.9 nm, and a mean 0.6 nm from the printed value: one digit, 5 nm, is 4.7 standard errors, p < 1e-5.
+    The standard errors of deviation and u are 0.06 nm and 0.04 nm; their tolerance is that of two digits, 0.5 nm.
+    The standard error of an end of the interval is 0.9 nm, and its mean is 0.6 nm from the printed value. The
+    tolerance of one digit, 5 nm, then leaves 4.7 standard errors: p < 1e-5.
     """
     rng = np.random.default_rng(10 + SEED_OFFSET)
     standard, mean, random, systematic = (

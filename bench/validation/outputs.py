@@ -60,7 +60,7 @@ def conformity(context: Context) -> Iterator[Finding]:
 
 OF_K, OF_U0, OF_N = "V/g", "V", "g/V"
 U: Final = 1e-6 * np.arange(1.0, 13.0)
-"""The u of the twelve coefficients: each another, so that no two can be exchanged."""
+"""The u of the twelve coefficients, all different, so that an exchange of two is noticed."""
 
 
 def expected() -> dict[str, tuple[float, float | None, str]]:

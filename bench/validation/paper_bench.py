@@ -72,11 +72,11 @@ def simulate(
     K2: np.ndarray | float = 0.0,
     eccentricity_rad: tuple[float, float] = (0.0, 0.0),
 ) -> Readings:
-    """Return one run of the paper's procedure, in V, with random stand errors per installation and noise per
-    reading.
+    """Return one simulated run of the paper's procedure, in V.
 
-    If `rng` is None, there are no errors. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad`
-    (cosine, sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
+    Stand errors are drawn for each installation, setting error and noise for each reading. If `rng` is None, they
+    are zero. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad` (cosine, sine) adds e_c cos(phi) +
+    e_s sin(phi) to the head's angle.
     """
     installation, pass_number, point, phi = design(passes)
     n = len(phi)

@@ -48,7 +48,10 @@ _COMMAND: Final = "from bench.cli.program import main; main()"
 
 
 def bench_to_run(context: Context) -> tuple[Path, str]:
-    """Return the bench file for the validation's runs, and a note if another must replace the given one."""
+    """Return the bench file on which the validation makes its runs, and a note.
+
+    The shipped bench paper-stand is used if the given bench cannot run the procedure; the note then says so.
+    """
     plan = load_procedure(find_procedure(PROCEDURE)).expand()
     if not plan_check(plan, context.bench, dry_run=True):
         return context.bench_path, ""

@@ -34,7 +34,7 @@ class Stage(StrEnum):
 class Subsystem(StrEnum):
     """The part of the bench to which an effect belongs.
 
-    Of two explanations in one part, the diagnosis prefers the simpler.
+    If two effects of one part explain the readings, the diagnosis prefers the simpler.
     """
 
     BLOCK = "block"
@@ -45,16 +45,19 @@ class Subsystem(StrEnum):
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter of an effect: its unit in files, the size of this unit in SI, a plausible value (1 sigma) in SI.
+    """A parameter of an effect: its `unit` in files, the SI value of this unit, and a plausible value in SI.
 
-    A `per_channel` parameter has a value for each of x, y, z, zero for a channel without the effect. A parameter
-    with a `grid` (SI values) is a shape, such as a time constant, a width or a harmonic. Readings are not linear
-    in a shape: a fit holds it fixed, and the diagnosis tries each grid value. An unstated shape has the value
-    `default`.
+    The plausible value is a standard deviation. A `per_channel` parameter has a value for each of x, y, z, zero for
+    a channel without the effect. There are three kinds of parameters: sizes, shapes and starting states. The effect
+    is proportional to a size.
 
-    A parameter with `start_of` is the state at the start of a mounting, which is new in every mounting and run;
-    `start_of` names the size to which it is in proportion (`Effect.start_spread`). A fit estimates it only if its
-    u is stated.
+    A shape has a `grid` of SI values; examples are a time constant, a width or a harmonic. The readings are not
+    linear in a shape. A fit therefore keeps it constant, and the diagnosis fits the effect with each value of the
+    grid. A shape that a file does not state has the value `default`.
+
+    A starting state is the state of the effect at the start of a mounting, with a new value in every mounting and
+    run. It is proportional to the size that `start_of` names (`Effect.start_spread`). A fit estimates a starting
+    state only if its u is stated.
     """
 
     name: str
@@ -68,12 +71,12 @@ class Parameter:
 
     @property
     def is_shape(self) -> bool:
-        """Whether the parameter determines the form of the effect and not its size."""
+        """Whether the parameter determines the form of the effect and not its amount."""
         return bool(self.grid)
 
     @property
     def is_size(self) -> bool:
-        """Whether the parameter determines the size of the effect: it is neither a shape nor a starting state."""
+        """Whether the effect is proportional to the parameter: neither a shape nor a starting state."""
         return not self.grid and not self.start_of
 
 
@@ -101,11 +104,11 @@ class Effect(ABC):
     `sentence` describes the effect; `shown_by` names a measurement that would show it; `shows_on` names the parts
     of the bench where it shows (`docs/generators/effects.py`). A `per_mount` effect may act in single mountings; if
     it `lasts`, it acts from that mounting to the end of the run. A `per_pass` effect may act in single passes of a
-    mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the sets of parameters that a
-    diagnosis tries alone, with the others zero; if empty, it derives the sets from the names. `needs_history` is
-    true if a reading depends on earlier rows, `needs_path` if it depends on the path of the head to the setting.
-    `start_repeats` is true if the starting state follows from how the head is brought to its first setting, so that
-    other mountings repeat it.
+    mounting; if it `outlasts_mount`, it may continue through remounts. `apart` lists the sets of parameters that
+    the diagnosis fits while the other parameters are zero; if it is empty, the names of the parameters determine
+    the sets. `needs_history` is true if a reading depends on earlier rows, `needs_path` if it depends on the path
+    of the head to the setting. `start_repeats` is true if the approach of the head to its first setting determines
+    the starting state, so that mountings with the same approach have the same state.
     """
 
     name: str
@@ -132,9 +135,10 @@ class Effect(ABC):
         """
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the standard deviation of the starting state of a mounting in units of the size, SI.
+        """Return the standard deviation of a starting state, as a multiple of its size parameter, SI.
 
-        The starting state is a parameter with `start_of`. An effect without one does not use this number.
+        The starting state is a parameter whose `start_of` names the size parameter. An effect without one does not
+        use this number.
         """
         del conditions
         return 1.0
@@ -176,7 +180,7 @@ class VoltmeterEffect(Effect):
 
 
 def angle(name: str, plausible_arcsec: float) -> Parameter:
-    """Return the parameter `name`: an angle common to all channels, of the plausible size `plausible_arcsec`."""
+    """Return the parameter `name`, an angle common to all channels, with a plausible value."""
     return Parameter(name, "arcsec", ARCSEC, plausible_arcsec * ARCSEC, per_channel=False)
 
 
@@ -222,7 +226,11 @@ def warmth_behind(conditions: Conditions, lag_s: float) -> Floats:
 
 
 def fading(conditions: Conditions, lag_s: float) -> Floats:
-    """Return the fraction (n,) of a deviation at the start of a mounting that is left after a first-order lag."""
+    """Return the fraction (n,) that remains, at each row, of a deviation at the start of its mounting.
+
+    The deviation decays as exp(-t / `lag_s`), with t since the first reading of the mounting; without a lag it is
+    0.
+    """
     if lag_s <= 0.0:
         return np.zeros(len(conditions))
     return np.asarray(np.exp(-conditions.since_mounting_s / lag_s))
@@ -235,7 +243,7 @@ def lag_of(*minutes: int) -> Parameter:
 
 
 def time_constant(*minutes: int) -> Parameter:
-    """Return the shape parameter "tau" of an exponential decay, of 20 min as a rule; its grid is the `minutes`."""
+    """Return the shape parameter "tau" of an exponential decay: grid `minutes`, default 20 min."""
     grid = tuple(m * MINUTE for m in minutes)
     return Parameter(
         "tau", "min", MINUTE, plausible=20 * MINUTE, per_channel=False, grid=grid, default=20 * MINUTE
@@ -284,10 +292,10 @@ class AppliedEffect:
     """An effect with parameter values, as stated in a bench file or a model file.
 
     `values` and their standard uncertainties `u`, where known, are in SI: shape (3,) for a per-channel parameter,
-    else (). A parameter without a value has its default, zero for a size. `installations` are the mountings
-    (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the effect acts; empty
-    means all. `either_of` lists the names of effects that the readings cannot distinguish, this effect included; it
-    is empty if they can.
+    else (). A shape without a value has its default; any other parameter without a value is zero. `installations`
+    are the mountings (`str(Mounting)`: "2", in series 3 "2/3") or passes (`pass_label`: "2 pass 1") in which the
+    effect acts; empty means all. `either_of` lists this effect and the effects that the readings cannot distinguish
+    from it; it is empty if there are none.
     """
 
     effect: Effect
@@ -298,7 +306,10 @@ class AppliedEffect:
     either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters, with zero sizes and default shapes filled in."""
+        """Return the values of all parameters of the effect.
+
+        A missing shape has its default; any other missing parameter is zero.
+        """
         return {
             p.name: np.asarray(
                 self.values[p.name]
@@ -352,9 +363,10 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """An uncertain part of the shape of the effect `of`; a fit may estimate its one parameter, a size.
+    """A correction for the uncertain shape of the effect `of`: a multiple of a fixed sum of effects.
 
-    The effect adds this size times the sum of `parts`, which are effects with fixed values.
+    The effects `parts` have fixed values. The only parameter is the factor on their sum, which a fit may estimate.
+    Raises `ValueError` if the parts act at different stages.
     """
 
     name: str
@@ -384,12 +396,12 @@ class InPart(Effect):
         return f"{self.of} in other shapes ({self.name.rpartition('_')[2]})"
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return the size times the sum of the parts (see `Effect.addition`)."""
+        """Return the factor times the sum of the parts (see `Effect.addition`)."""
         whole = np.sum([applied.addition(seen) for applied in self.parts], axis=0)
         return np.asarray(values[PART] * whole)
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return part `number` of the shape of the effect `of`; the part has the size `value` with uncertainty `u`."""
+    """Return correction `number` of the shape of `of`, with the factor `value` and its uncertainty `u`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

@@ -29,7 +29,10 @@ from bench.model.effects.base import (
 
 
 def _size(name: str, unit: str, plausible: float) -> Parameter:
-    """Return a per-channel parameter; for the `unit` "ug/g^2", its `plausible` size is in g/g^2."""
+    """Return the parameter of an effect's amount in each channel, which a file states in `unit`.
+
+    `plausible` is in SI, for example in g/g^2 if the `unit` is "ug/g^2".
+    """
     return Parameter(name, unit, 1e-6, plausible, per_channel=True)
 
 
@@ -126,7 +129,7 @@ ROUNDED_G: Final = 0.01
 class BiasAsymmetry(BlockEffect):
     """Asymmetry (K0'/2) sign(a_i) of the bias, the sign smoothed over `ROUNDED_G`.
 
-    Outside a dead band of half-width w, the signal is as with K0' = -2 w.
+    A dead band of half-width w has the same effect outside the band as K0' = -2 w.
     """
 
     name = "bias_asymmetry"
@@ -172,9 +175,9 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        The channel's `state` is from -1 to 1. `change` is its derivative by the state at the start of each
-        mounting. The state at the start is 0, in the middle of the play. Raises `ValueError` if `Conditions.turns`
-        is None.
+        The channel's `state` is from -1 to 1; at the start of a mounting it is 0, in the middle of the play.
+        `change` is half the difference between the states after starts at 1 and at -1. Raises `ValueError` if
+        `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
         added = values["size"] * state(seen.conditions, width_g)
@@ -258,15 +261,15 @@ def _extremes(start: Floats, end: Floats, sine: Floats, cosine: Floats) -> Float
 
 
 def _start(unit: str, plausible: float, start_of: str) -> Parameter:
-    """Return the parameter of what a lagged effect adds at the start of a mounting, beyond that in equilibrium."""
+    """Return the parameter for a lagged effect's deviation from equilibrium at the start of a mounting."""
     return Parameter("start", unit, 1e-6, plausible, per_channel=True, start_of=start_of)
 
 
 class LaggedEffect(BlockEffect):
-    """An effect of T, the temperature after a first-order lag, minus the reference.
+    """An effect proportional to T, the temperature after a first-order lag, minus the reference.
 
-    Its state at the start of a mounting is unknown. The first parameter is its size per kelvin: a bias or, with
-    `of_scale`, a change of the scale factor.
+    The state of the lag at the start of a mounting is unknown. The first parameter is the effect per kelvin: a bias
+    or, with `of_scale`, a relative change of the scale factor.
     """
 
     of_scale: ClassVar[bool] = False
@@ -347,8 +350,9 @@ class ThermalMisalignment(BlockEffect):
 
 
 class WarmUp(BlockEffect):
-    """Decaying bias A exp(-t / tau), where t is the time since switch-on of the unit or, if unknown, since the
-    start of the run.
+    """Decaying bias A exp(-t / tau), where t is the time since the unit was switched on.
+
+    If that time is unknown, t is the time since the start of the run.
     """
 
     name = "warm_up"

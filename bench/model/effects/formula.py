@@ -248,7 +248,10 @@ _OPERATIONS: Final[Mapping[str, Callable[[Floats, Floats], Any]]] = {
 
 
 class DegreeReading:
-    """An interpretation of an expression as its degree in the sizes, 0 or 1; each term must have degree 1."""
+    """An interpretation of an expression as its degree in the size parameters, 0 or 1.
+
+    The addition of an effect must have degree 1 in each of its terms.
+    """
 
     def __init__(self, sizes: frozenset[str]) -> None:
         self._sizes = sizes
@@ -283,7 +286,7 @@ class DegreeReading:
         )
 
     def call(self, name: str, arguments: list[int]) -> int:
-        """Return 0. Raises `ExpressionError` if an argument contains a size."""
+        """Return 0. Raises `ExpressionError` if an argument contains a size parameter."""
         if any(arguments):
             raise ExpressionError(
                 f"{name} contains a size ({self._named}), in which an effect must be linear; {GRID_HINT}"

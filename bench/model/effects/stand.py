@@ -282,8 +282,9 @@ PAIRS: Final = tuple((CHANNELS[i], CHANNELS[j]) for i, j in ((0, 1), (1, 2), (2,
 
 
 class MetersExchanged(VoltmeterEffect):
-    """Two swapped meters: their difference in gain and zero adds to one channel and is subtracted from the
-    other.
+    """Two exchanged voltmeters: the difference between their gains and between their zeros.
+
+    The difference adds to one channel and is subtracted from the other.
     """
 
     name = "meters_exchanged"

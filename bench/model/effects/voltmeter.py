@@ -127,8 +127,9 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A jump of the zero of each channel's meter at the time `at` after the run began, as if the meter
-    was moved.
+    """A step of the zero of each channel's meter at the time `at` after the start of the run.
+
+    A move of the meter causes such a step.
     """
 
     name = "voltmeter_move"
@@ -173,7 +174,10 @@ class ReferenceSupply(VoltmeterEffect):
 
 
 class RangeOffset(VoltmeterEffect):
-    """Additional zero and gain of each channel's meter on the lower range, which autorange uses below 1.2 V."""
+    """Additional errors of zero and gain of each channel's meter on its lower range.
+
+    A meter with autorange uses the lower range below 1.2 V.
+    """
 
     name = "range_offset"
     parameters = (
