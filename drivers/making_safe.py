@@ -39,7 +39,10 @@ class Attempts:
         return True
 
     def end(self) -> str:
-        """Return what a person must still do, an empty string for nothing. Raises a held-back interruption."""
+        """Return what a person must still do, or an empty string if nothing.
+
+        Raises the first interruption (such as Ctrl-C) that arrived during an attempt.
+        """
         for error in self._failures:
             if not isinstance(error, Exception):
                 raise error
@@ -59,7 +62,7 @@ class Attempts:
 
 
 def let_go(instrument: Instrument) -> str:
-    """Close an instrument; return what a person must still do, an empty string for nothing."""
+    """Close an instrument; return what a person must still do, or an empty string if nothing."""
     attempts = Attempts()
     attempts.make(
         "could not be released: check that it stands still, then switch it off and on", instrument.close

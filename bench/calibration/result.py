@@ -377,7 +377,10 @@ class Calibration(HasCovariance):
 
     @property
     def block_terms(self) -> Floats:
-        """Changes (12, q) of the coefficients by q errors of the block (K2 and K3), each equal to its u."""
+        """Changes of the coefficients by the errors of the block (nonlinearities K2 and K3), shape (12, q).
+
+        Column k is the change if the k-th independent error equals its standard uncertainty.
+        """
         parts = [s.of_block for s in self.sources if s.of_block is not None]
         return np.concatenate([np.zeros((12, 0)), *parts], axis=1)
 

@@ -252,7 +252,7 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the comparable calibrations of one unit, for its figure. Raises `Refused` as `unit_history`."""
+    """Return the calibrations of one unit that can be compared. Raises `Refused` as `unit_history` does."""
     table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
     return [_calibration(table, k) for k in range(len(table))]
 

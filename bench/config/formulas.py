@@ -366,7 +366,7 @@ def written_formulas(effects: Iterable[Effect]) -> list[dict[str, Any]]:
 
 
 def effects_text(effects: Sequence[Effect]) -> dict[str, Any]:
-    """Return the content of an effects file with these formulas."""
+    """Return the content of an effects file with those of `effects` that are formulas, each formula once."""
     return {"effects_file": int(FORMAT), "formulas": written_formulas(effects)}
 
 

@@ -158,7 +158,10 @@ class NamedEffect:
 
     @classmethod
     def unnamed(cls, name: str, p: float, words: str, odds: tuple[FamilyOdds, ...] = ()) -> NamedEffect:
-        """Return an unnamed pattern without parameters; `words` describe it."""
+        """Return a found pattern that is no effect of the catalogue and has no parameters.
+
+        `name` is a key of `UNNAMED_WORDS`; `words` describe the pattern.
+        """
         return cls(name, (), (), (), (), (), p, p, None, words, odds=odds)
 
     @property

@@ -263,7 +263,7 @@ class BlockResult:
         return f"{self.block_type} {self.serial}".strip()
 
     def facts(self) -> dict[str, str]:
-        """Return the header facts of every form by name, in order; each is a text of one line."""
+        """Return the facts of the header by name, in the order of display; each is a text of one line."""
         u_m_s2 = self.g_m_s2 * self.gravity_u
         of_g = f" (u = {u_m_s2:.2g} m/s^2, which is in no number per g)" if self.gravity_u else ""
         told = {

@@ -226,7 +226,7 @@ def _recorded(bench: BenchFile, taken: BenchTaken, origin: Origin, readings: str
 
 
 def learned_meters(entry: MetersEntry) -> LearnedMeters:
-    """Return the section on voltmeters of a learned file, as arrays for a calibration."""
+    """Return the differences between voltmeters in `entry`, a section of a learned file, as arrays."""
     gain, zero = (
         LearnedDifferences(np.array(one.values), np.array(one.covariance), entry.group)
         for one in (entry.gain, entry.offset_v)

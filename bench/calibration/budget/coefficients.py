@@ -37,8 +37,8 @@ _SAME_FORCE_G: Final = 1e-6
 class Setup:
     """The readings that a budget is for, with the model of the bench and the block.
 
-    `conditions` has n readings, verification points included. `meters` numbers the voltmeters of the channels x, y,
-    z: channels with the same number share a meter.
+    `conditions` has n readings, verification points included. `meters` assigns the number of
+    a voltmeter to each of the channels x, y, z: channels with the same number share a meter.
     """
 
     model: ForwardModel
