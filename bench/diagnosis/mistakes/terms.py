@@ -41,8 +41,8 @@ class WrongReadings:
 
     `off_rad` is the true minus the recorded angle, None if the readings are useless. `ties` are mistakes or effects
     that explain the readings equally well. `p` is the number of hypotheses divided by the odds. For one reading,
-    `shift` (3,) is the error, unit of the signal, and `sigma` is the largest component of the error divided by its
-    u. For a pass, `shift` is empty.
+    `shift` (3,) is the error, unit of the signal, and `sigma` is its largest component among the `channels`, in
+    units of the noise. For a pass, `shift` is empty.
     """
 
     name: MistakeName
