@@ -55,7 +55,7 @@ def _program() -> Any:
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Run the command line and exit with its status; report an error on standard error, in one line.
+    """Run the command line and exit with its status; report an error as a message on standard error.
 
     `arguments` are those of `sys.argv` by default. With `--debug`, the traceback of an error is printed as well.
     """

@@ -188,9 +188,9 @@ AS_IT_IS, ABSENT = SHIFTS, SHIFTS + 1
 class Suspect:
     """A supposed mistake that explains a reading, and its cost (-2 ln likelihood plus prior cost).
 
-    `earlier` is the index of the earlier reading at fault, if any. If head or block is supposed at a wrong angle,
-    `moved_rad` is the deviation and `u_rad` its standard uncertainty. `stops` says that the mistake may stop the
-    run, because no genuine effect resembles it. `free` says that the mistake is a shift of unknown size.
+    `earlier` is the index of the earlier reading at fault, if any. If the kind is `MOVED`, `moved_rad` is the
+    estimated turn about the shaft, `u_rad` its standard uncertainty. `stops` says that the mistake may stop
+    the run, because no genuine effect resembles it. `free` says that the mistake is a shift of unknown size.
     """
 
     text: str
@@ -255,7 +255,7 @@ LARGE_G: Final = 0.02
 """Least slip (rad) and channel error (g) that stop a run; no genuine effect of a block or a stand is as large."""
 
 FEW: Final = 4
-"""Another orientation of the block is supposed only up to this number of readings on a mounting."""
+"""Another orientation of the whole mounting is supposed only up to this number of readings on it."""
 
 MOST_CANDIDATES: Final = 12
 """Greatest number of earlier readings tested for a mistake at once; it limits the computing time in a long run."""
@@ -288,7 +288,7 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
-        `state` is the expectation (one member) from the earlier readings, `before` their cost (-2 ln likelihood).
+        `state` is the expectation (one member) from other readings, `before` their cost (-2 ln likelihood).
         """
         return [
             *self._cabling_now(sighting, state, before),
@@ -535,7 +535,7 @@ class Confidence:
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Accept the lasting mistakes just named, and stop no more until a reading fits: a person continued."""
+        """Accept the lasting mistakes just named; do not stop until a reading fits, a remount or a redo."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

@@ -251,7 +251,7 @@ class UnitPower:
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Check the rails if the last check is `WATCH_S` ago and no person reads them.
+        """Check the rails of a block that is on, if no person reads them and `WATCH_S` have passed.
 
         Raises only `RailFault`.
         """

@@ -147,7 +147,7 @@ class UnitSupplySection(FileModel):
 
     The rails are switched on in the listed order, `pause` apart, and off in reverse. Once off, the block stays off
     for at least `least_off`. `warm_up` starts at switch-on; it is a fixed time, or ends when the signals have
-    settled. `when_unsafe` is the state in which a run leaves a block that it has switched: on ("stay-on") or "off".
+    settled. With `when_unsafe` "off", a run ends by switching off a block that it has switched or taken over.
     """
 
     rails: Annotated[tuple[RailSection, ...], Field(min_length=1)]
@@ -472,7 +472,7 @@ class ScalePerVolt(ErrorSize):
 
 
 class BiasError(ErrorSize):
-    """The limit of the change of a bias from one switch-on to another, g."""
+    """The limit of the repeatability of a bias from one switch-on to another, g."""
 
     limit: Annotated[float, not_negative(BIAS)]
 
