@@ -76,7 +76,7 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return the due dates of the selected units and their instruments, earliest first, and units without a date.
+    """Return due dates of the selected units, units without one, and instruments soon due; earliest first.
 
     `limit_g` is the permitted error (g) of a measurement of 1 g, by default the limit of each unit's last
     verification. If a unit's history is too short to show drift, `interval_days` determines its date. `before`

@@ -125,7 +125,7 @@ def check_xml(document: bytes) -> SignedXml:
 
 
 def unsigned_content(document: bytes) -> bytes:
-    """Return an unsigned XML in canonical form, without comments. Raises `NotIntact` if it is no certificate."""
+    """Return an unsigned XML in canonical form, without comments. Raises `NotIntact` for unsafe or no XML."""
     return bytes(etree.tostring(_read(document), method="c14n", with_comments=False))
 
 

@@ -35,8 +35,8 @@ Rows = list[list[Any]]
 def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     """Return the numbers of all plots of a run as a JSON object, with null for a plot that the run lacks.
 
-    Member `previous` holds the same numbers for the unit's previous calibration, `trouble` a sentence on each
-    unusable file.
+    Member `previous` holds the residuals and Δg of the unit's previous calibration, `trouble` a sentence on
+    each unusable file.
     """
     trouble: list[str] = []
     own = _measured(run, trouble)

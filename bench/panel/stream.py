@@ -386,7 +386,7 @@ class Followers:
             return shared.points.points
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield a run's server-sent events for one viewer. Raises `RecordError` if the run cannot be read."""
+        """Yield a run's server-sent events for one viewer. Before the first, may raise `RecordError`."""
         async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
             while not shared.trouble:

@@ -435,7 +435,7 @@ def print_benches(result: BenchesResult, out: Console) -> None:
 
 
 def unit_of_change(name: str, unit: str) -> tuple[float, str]:
-    """Return the unit in which differences of the number `name` are printed, and the factor to that unit."""
+    """Return the factor that converts differences of the number `name` to the printed unit, and that unit."""
     if name.startswith("theta"):
         return 3600.0, "″"
     return 1.0, "g" if name in INTRINSIC[6:] else unit

@@ -543,7 +543,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
-    """Print the files that were written and, for a verdict "confounded", why there is no model file."""
+    """Print the files written and, if effects are tied or not confirmed, why there is no model file."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
     for what, paths in told.items():

@@ -163,7 +163,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return the p-value of an effect, corrected for multiple tests, and its size rho in units of the noise."""
+    """Return in words the p-value of an effect, corrected for multiple tests, and its size rho, if known."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -274,7 +274,7 @@ def micro_g(value_g: float) -> str:
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far the named effects close the gap on held-out readings; "" without named effects or gap."""
+    """Return how far the named effects close the gap on held-out readings; "" if none named or held out."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)

@@ -81,8 +81,8 @@ def matrix(calibration: Calibration) -> list[list[str]]:
 def coefficient_groups(calibration: Calibration) -> list[tuple[str, list[Row]]]:
     """Return the title and the rows of each group: scale factors, cross-axis terms and biases.
 
-    The cells of a row are: value, its unit; u from the readings alone, u, U, the unit of these three; the value as
-    another quantity, such as an angle, and its unit.
+    The cells of a row are: value, its unit; u from the readings alone, u, U, the unit of these three; then
+    relative u (ppm) of a scale factor, angle of a cross-axis term or acceleration of a bias, and its unit.
     """
     vector, u = calibration.block.vector, calibration.u
     scale = scale_for(float(np.max(u)), calibration.unit)

@@ -327,7 +327,7 @@ class Redo:
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return the steps that the wish `wish`, received at step `index`, repeats.
 
-    Return None if no point was begun since the block was mounted.
+    Return None if no turn precedes it since the block was mounted or levelled, or got a new set point.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None

@@ -114,7 +114,7 @@ def instrument_name(identity: str, serial: str, resource: str | None, bench: str
 
 @dataclass(frozen=True)
 class OriginBeside:
-    """The origin of readings (None if its file is missing or does not match them), and notes for the reader."""
+    """The origin of readings (None if its file is missing, unusable or of other readings), and notes."""
 
     origin: Origin | None = None
     notes: tuple[str, ...] = ()
@@ -151,7 +151,7 @@ def origin_of_run(run: Run) -> OriginBeside:
 
 
 def origin_beside(readings: Path) -> OriginBeside:
-    """Return the origin in a readings file's origin file, unless that file has the SHA-256 of other readings."""
+    """Return the origin in a readings file's origin file, if it states the SHA-256 of these readings."""
     file = readings.with_name(readings.name + SUFFIX)
     content = _read(file)
     if content is None or not readings.is_file():

@@ -274,12 +274,12 @@ class CalibrationResult:
 
     @property
     def accepted(self) -> bool:
-        """Whether p of the lack-of-fit test is at least 1e-4, or the residuals are mere rounding."""
+        """Whether p of the lack-of-fit test is unknown or at least 1e-4, or residuals are mere rounding."""
         return self.calibration.lack_of_fit.accepted()
 
     @property
     def strictly_accepted(self) -> bool:
-        """As `accepted`, but p must be at least 0.01 and there must be no `doubts`."""
+        """As `accepted`, but with 0.01 in place of 1e-4, and there must be no `doubts`."""
         return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:

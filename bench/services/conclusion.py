@@ -46,7 +46,7 @@ class Conclusion:
 
     `looks` are sentences on early warnings. `short` is true if the run ended without reaching its goals.
     `no_calibration` and `no_chart` are the reasons for a missing calibration or chart. Only a run of the check
-    block can have a chart or `no_chart`. `chart_unwritten` names the chart's file if it could not be written.
+    block can have a chart or `no_chart`. `chart_unwritten` is the chart's file, if unwritten, and the reason.
     """
 
     run: Run
