@@ -157,7 +157,7 @@ def scale_text(angle_rad: float) -> str:
 def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> str | None:
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None if none does.
 
-    The mistakes are: one line of the scale too far (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x,
+    The mistakes are: one line of the scale off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x,
     two digits swapped. For all but swapped digits, `read_rad` must agree with the reading that the mistake
     predicts: within `tolerance_rad`, and within a third of the deviation from the target. A reading within
     `tolerance_rad` of the target is no mistake.

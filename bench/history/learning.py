@@ -371,7 +371,7 @@ def learn(
 
 
 def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs, dict[str, str]]:
-    """Return the beliefs with undetermined variances fixed at their priors, and the reasons by angle.
+    """Return the beliefs with undetermined variances fixed at their priors, and reasons by kind of angle.
 
     Among variances that cannot be separated, the one with the smallest stated u is fixed first, and so on until the
     remaining variances are determined.

@@ -256,10 +256,10 @@ class NextPoints:
     were omitted before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its
     expected states after these points and at the end of the run. `settings` counts the points measured so far,
     `repeats` counts those of them that repeat a site. `next_s` is the time of the next points. `more` is the
-    expected number of points until the end, and `more_s` their time, both with the next points. `rest_s` is the
-    remaining time of the steps that no choice affects. `pool_end` is the step after the last point. `not_needed`
-    counts the points that a stopped run has not measured. `telling_apart` says that points were chosen to
-    distinguish the possible causes of a misfit.
+    expected number of points until the end, and `more_s` the time, both with the next points; the time
+    includes `rest_s`, the remaining time of the steps that no choice affects. `pool_end` is the step after
+    the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart` says
+    that points were chosen to distinguish the possible causes of a misfit.
     """
 
     visit: int

@@ -211,8 +211,8 @@ class SettingPool:
 class ExchangeDesign:
     """A design: the number of visits to each candidate setting, `counts` (c,). Moves change it by one.
 
-    The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the ratios
-    of u to the required u of its `goals`; a lower score is better.
+    The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the squared
+    ratios of u to the required u of its `goals`; a lower score is better.
     """
 
     def __init__(

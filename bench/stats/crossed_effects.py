@@ -349,8 +349,8 @@ def most(found: Crossed, which: int) -> float:
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
     """Return rough standard deviations (3,) of unit effects, bench effects and excess from values `y` (n,).
 
-    The first is the standard deviation of the units' means about the mean of their group. The second and the third
-    are both the standard deviation within units.
+    The first is that of the units' means about the mean of their group, at least a tenth of the second. The
+    second and the third are both that within units, at least the median of the stated u.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count

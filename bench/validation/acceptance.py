@@ -31,8 +31,8 @@ def accept(request: Validate, folder: Path) -> ValidationRegisterResult:
     """Register the validation in a folder as accepted by an authorised person; return the register.
 
     The first validation is accepted in the same way. Raises `Refused` if the validation has a failed check, differs
-    from its seal, is registered already, or was made before the program was changed. Also raises it if the
-    laboratory file or the reason is missing, or if the person is not authorised.
+    from its seal, is registered already, or is of another program, package, Python or platform. Also raises it if
+    laboratory file, person or reason is missing, or if the person is not authorised.
     """
     laboratory, person, reason = _authority(request)
     content, result = _sealed(folder)

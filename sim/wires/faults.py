@@ -115,8 +115,8 @@ class Fault:
     """One kind of fault and the condition under which it strikes.
 
     Only commands that contain `matching` (in upper or lower case) count. Of these, the fault strikes each one with
-    `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that alters the reply cannot
-    strike a command without one; if the `at`-th command has no reply, it strikes the next reply. `instrument` is a
+    `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that delays or alters the reply
+    cannot strike a command without one; if the `at`-th command has no reply, it strikes the next reply. `instrument` is a
     name on the bench, empty for all.
     """
 
