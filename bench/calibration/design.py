@@ -344,8 +344,8 @@ def make_problem(
 ) -> Problem:
     """Return the problem with its unknowns: stand angles with a non-zero u, and the parameters of effects.
 
-    Shape parameters (`Parameter.is_shape`) are not unknowns: they keep the values of the model. A level reading of
-    a mounting replaces the u that the bench file states.
+    Shape parameters (`Parameter.is_shape`), and starting states without u, are no unknowns: they keep the
+    values of the model. A level reading of a mounting replaces the u that the bench file states.
 
     `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
     "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean

@@ -124,7 +124,7 @@ def refuse_still(signal: Floats) -> None:
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
-    """Raise `CalibrationError` for a saturated channel: equal readings where a fit predicts larger signals.
+    """Raise `CalibrationError` if a channel saturates: equal extreme readings where a fit predicts more.
 
     The fit is to the readings within the range. `columns` (n, 4) are the specific force and ones.
     """

@@ -306,7 +306,7 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the finds that are necessary; the first `kept` always stay.
+    """Return the finds that are necessary; the first `kept`, and at least one find, always stay.
 
     A find is necessary if, without it, the odds of a missing effect reach the threshold. The weakest find is tested
     first.

@@ -195,9 +195,9 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 class Proposal:
     """The procedure proposed as the next measurement: its file `source`, its duration, and the reason `why`.
 
-    `settles` are ties that it resolves or reduces; `shows` are hidden effects that it would show. `left_out` maps
-    procedures that this bench cannot carry out to reasons. `written` is the path of a copy that begins with `why`
-    (`write`). If there are ties, `chances` has the durations and probabilities of all procedures, the best first.
+    `settles` are ties that it resolves or reduces; `shows` are hidden effects that it would show. `left_out`
+    maps procedures not considered to reasons. `written` is the path of a copy that begins with `why` (`write`).
+    If there are ties, `chances` has durations and probabilities of the procedures considered, the best first.
     """
 
     why: str

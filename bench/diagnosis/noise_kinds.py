@@ -179,7 +179,7 @@ def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
 
 @dataclass(frozen=True)
 class LocalScatter:
-    """A place where readings scatter more than elsewhere: a channel, in an installation or in one pass.
+    """A place where readings scatter more than elsewhere: a channel, in an installation or one of its passes.
 
     `sd` and `elsewhere` are standard deviations, unit of the signal; `where` is empty for a whole channel. The
     p-value `p` is corrected for the number of places.

@@ -432,8 +432,8 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
     """Return the shifts (k, 12 per block) of the coefficients if a tie replaces a find.
 
-    Each is multiplied by the root of the tie's probability. Finds without a name count only if their terms can join
-    the model.
+    Each is multiplied by the root of the tie's probability. Finds without a name count only if all of them
+    are terms of the dictionary, and these can join the model.
     """
     form, naming = diagnosis.form, diagnosis.naming
     same = all(one.variant.named or one.variant.term for one in naming.found)

@@ -368,7 +368,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, for the index of each find, the probabilities (3,) that it acts in x, y and z, over all its forms."""
+    """Return, for the index of each find with a name, the probabilities (3,) that it acts in x, y and z."""
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:

@@ -62,9 +62,9 @@ class TimeCourse:
 
     Each of the formulas `expressions` has its own amplitude; `constants` are parameters with a single value. With
     `of_temperature`, the course is in kelvin; with `of_angle`, it depends on the head angle. With `long`, scale
-    factor and voltage may also follow it and, if it has a `where`, a meter's gain. A `narrow` course is at one
-    angle, mounting or step, or is a fast wave; angles of the stand do not follow it. `where` says in words where it
-    acts.
+    factor, voltage and, if it has a `where`, a meter's gain follow it too. A `narrow` course is a step, a fast
+    wave, at one angle, or of the angle in one mounting; stand angles do not follow it. `where` says in words
+    where it acts.
     """
 
     words: str

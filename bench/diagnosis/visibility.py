@@ -1,4 +1,4 @@
-"""What readings can show: effects too small to be found, the separation of two explanations, residual patterns."""
+"""What readings can show: hidden effects, the separation of two explanations, patterns of residuals."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def half_power(whitened: Whitened, threshold: float) -> float:
 
 @dataclass(frozen=True)
 class Smallest:
-    """The joint amplitude of several `parameters`, in `unit`, at which half of all runs find their effect.
+    """The joint amplitude of the `parameters` of one `unit`, at which half of all runs find their effect.
 
     `size` is the root of the sum of squares of the parameters. If `part`, the readings do not show some proportions
     of the parameters at any credible amplitude.
@@ -66,10 +66,10 @@ class Smallest:
 
 
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
-    """Return, for effects with several amplitudes of one unit, the joint one at which half of all runs find them.
+    """Return, for effects with several amplitudes, the joint amplitude that half of all runs find, by unit.
 
-    It is for the best channel, mounting and shape, and the worst proportions of the amplitudes (such as the phase
-    of a wave). The arguments are those of `detectable`.
+    The amplitudes of one unit are joined; a unit may have only one. It is for the best channel, mounting and
+    shape, and the worst proportions (such as the phase of a wave). The arguments are those of `detectable`.
     """
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
@@ -474,8 +474,8 @@ _CHANNEL: Final = (*CHANNELS, "modulus")
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """Return the periods per turn that the angles (n,) do not distinguish from `order` periods per turn.
 
-    They go up to one period per mark. Order 0 is a constant, which the coefficients absorb. Angles that differ by
-    at most 0.1 deg, or by whole turns, count as one.
+    They go up to one period per mark. Order 0 is a constant, which the coefficients absorb. The angles are
+    rounded to 0.1 deg; those that then differ only by whole turns count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)

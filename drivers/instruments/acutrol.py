@@ -28,9 +28,9 @@ _NUMBER: Final = rf"{_PREFIX} *[+-]?\d+(?:\.\d+)?(?:[eE][+-]?\d+)? *"
 class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
-    A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the speed in
-    `travel` only sets when a move has stalled or takes too long. Angles are sent rounded to 0.001°. Raises `ValueError`
-    if the tolerance is less than the rounding error, 0.0005°.
+    A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the
+    speed in `travel` only sets when a move has stalled or takes too long. Angles are sent rounded to 0.001°.
+    Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
     """
 
     def __init__(

@@ -114,10 +114,10 @@ OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
 class Fault:
     """One kind of fault and the condition under which it strikes.
 
-    Only commands that contain `matching` (in upper or lower case) count. Of these, the fault strikes each one with
-    `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that delays or alters the reply
-    cannot strike a command without one; if the `at`-th command has no reply, it strikes the next reply. `instrument` is a
-    name on the bench, empty for all.
+    Only commands that contain `matching` (in upper or lower case) count. Of these, the fault strikes each one
+    with `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that delays or alters
+    the reply cannot strike a command without one; if the `at`-th command has no reply, it strikes the next
+    reply. `instrument` is a name on the bench, empty for all.
     """
 
     kind: FaultKind

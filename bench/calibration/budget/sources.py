@@ -231,7 +231,7 @@ def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]
 
 
 def unread_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield a source for each thermal gain or offset of the meters whose temperature was not recorded.
+    """Yield a source for each thermal gain or offset in the model, for readings without a meter temperature.
 
     The temperature is unknown within the limits of the room. Its correlation time is the longer of two lags: that
     of the effect and that of the room. A coefficient without u has the catalogue's plausible size as u.

@@ -76,8 +76,8 @@ class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
     `nominal` (3,) are the signed scale factors of the data sheet, unit of the signal per g, None if unknown.
-    `stand_rad` is the combined prior u of the stand angles and the setting error, rad; in g, it is the least error
-    of the specific force.
+    `stand_rad` is the combined prior u of the stand angles and the setting error, rad. In g, it is the least
+    error of the specific force, unless `ERRORS_G[0]` is larger.
     """
 
     installations: Mapping[str, Installation]

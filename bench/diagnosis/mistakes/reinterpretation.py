@@ -1,8 +1,8 @@
 """Suppositions that the table misstates how the readings were taken.
 
-Each supposition is one mistake in the record: channels are exchanged, reversed or in another unit; the dividing
-head counted the other way; the installation label is wrong; or readings belong to a neighbouring stop (angle) of
-the head. It applies to the whole run, to one mounting, or to one pass.
+Each supposition is one mistake in the record: channels are exchanged, reversed or in another unit; the head
+counted the other way; the installation label or the axes of the block are wrong; or readings belong to a
+neighbouring stop (angle) of the head. It applies to the whole run, to one mounting, or to one pass.
 """
 
 from __future__ import annotations
@@ -202,7 +202,7 @@ class Reinterpretation:
 
 
 def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpretation]:
-    """Return every supposition to compare, the simpler ones first; `units` adds other units."""
+    """Return every supposition to compare, the simpler ones first; `units` adds other units and ranges."""
     scopes = _scopes(table)
     found: list[Reinterpretation] = []
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
