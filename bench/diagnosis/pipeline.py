@@ -410,6 +410,8 @@ class Rival:
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
     """Return, for each find, the `LISTED` families most likely in its place and all its ties, the best first."""
     naming, candidates = diagnosis.naming, diagnosis.candidates
+    if not naming.found:
+        return ()
     found = _coefficients(diagnosis, naming.columns)
     u = np.sqrt(np.diag(diagnosis.fitted.covariance))[: diagnosis.linear.fixed.shape[1]]
     rankings = []
