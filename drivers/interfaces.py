@@ -59,15 +59,16 @@ class WentAstray(BenchError):
 
 
 class NotConnected(BenchError):
-    """One or more instruments could not be opened; `failures` holds all of them."""
+    """Several instruments could not be opened; `failures` holds all errors. The message gives each remedy once."""
 
     def __init__(self, failures: Sequence[BenchError]) -> None:
         self.failures = tuple(failures)
-        super().__init__(
-            ", ".join(f.instrument for f in failures),
-            "not connected: " + " | ".join(str(f) for f in failures),
-            "correct these, then start again",
-        )
+        causes: dict[str, list[str]] = {}
+        for one in failures:
+            causes.setdefault(one.remedy, []).append(f"{one.instrument}: {one.cause}")
+        each = " | ".join(f"{', '.join(whose)}; {remedy}" for remedy, whose in causes.items())
+        super().__init__(f"{len(failures)} instruments", f"not connected: {each}", "then start again")
+        self.instrument = ", ".join(one.instrument for one in failures)
 
 
 class NoAnswer(BenchError):

@@ -251,8 +251,8 @@ class Runner:
         except RecordError as error:
             if cause is not None and not isinstance(cause, RecordError):
                 cause.add_note(str(error))
-        if cause is not None and to_do:
-            cause.add_note("; ".join(f"{name} {what}" for name, what in to_do.items()))
+            if cause is not None and to_do:
+                cause.add_note("; ".join(f"{name}: {what}" for name, what in to_do.items()))
 
     def _record_stop(self, cause: BaseException | None) -> None:
         """Record the cause of the stop, unless the run has already ended or the record cannot be written."""

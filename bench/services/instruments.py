@@ -165,7 +165,7 @@ def _look_at_all(
                 if thread.is_alive():
                     row.to_do = let_go(instrument)
     except KeyboardInterrupt:
-        if to_do := [f"{row.name} {row.to_do}" for row in rows if row.to_do]:
+        if to_do := [f"{row.name}: {row.to_do}" for row in rows if row.to_do]:
             raise BenchError(
                 "instruments", "stopped, but not everything could be made safe", "; ".join(to_do)
             ) from None

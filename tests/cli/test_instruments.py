@@ -248,7 +248,7 @@ def test_an_instrument_that_was_not_left_safe_is_told() -> None:
 
     begun = threading.Event()
     with pytest.raises(
-        BenchError, match="stopped, but not everything could be made safe; head press its emergency"
+        BenchError, match="stopped, but not everything could be made safe; head: press its emergency"
     ):
         command._look_at_all([Busy()], [row], 10.0, Interrupted())
 
