@@ -101,8 +101,8 @@ def shown(value: object) -> object:
 _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
 _WORDS: Final = re.compile(r"[^\W\d_]+")
 _UNITS: Final = frozenset({
-    *"VgmshdAKCWkpuUnerσχ", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz", "ppm",
-    "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
+    *"VgmshdAKCWkpuUnerσχxyz", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz",
+    "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
 })  # fmt: skip
 
 
@@ -152,15 +152,20 @@ class Entry:
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
-        """Yield each English form with a regular expression whose groups match the values of its blanks."""
+        """Yield each English form with a regular expression whose groups match the values of its blanks.
+
+        A blank at the start of a clause does not extend over earlier clauses, which end with a semicolon.
+        """
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
+            of_clause = text.startswith("{") and "; " not in text
             for at, part in enumerate(_BLANK.split(text)):
                 if at % 2 == 0:
                     parts.append(re.escape(part))
                 else:
-                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
+                    value = "(?:(?!; ).)*?" if of_clause and at == 1 else ".*?"
+                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>{value})")
                     seen.add(part)
             yield text, re.compile("".join(parts), re.DOTALL)
 

@@ -223,7 +223,7 @@ def alarm_of(
     cause, details = _first_sentence(told["words"])
     causes = told["causes"]
     action = message(
-        f"Check for {causes[0]}, then answer."
+        f"Probable cause: {causes[0]}. Correct it, then answer."
         if causes
         else "Check the mounting and the wiring, then answer."
     )
@@ -314,10 +314,12 @@ def _angle(seen: RunView) -> dict[str, Any] | None:
     if seen.turned is not None and seen.turned[0].number > seen.turn.number:
         read_deg = seen.turned[1].angle_deg
         off_rad = math.remainder(math.radians(read_deg - target_deg), math.tau)
+        off = format_dms(abs(off_rad), 1)
+        falls = off_rad < 0 and off != format_dms(0.0, 1)
         told |= {
             "read": format_dms(math.radians(read_deg), 1),
             "read_deg": read_deg,
-            "off": f"{'−' if off_rad < 0 else '+'}{format_dms(abs(off_rad), 1)}",
+            "off": f"{'−' if falls else '+'}{off}",
         }
     return told
 

@@ -61,10 +61,7 @@ OTHER_INSTALLATION: Final = 4.0
 """Prior cost of an installation other than that of the previous mounting."""
 
 REVERSED_MEANWHILE: Final = 7.0
-"""Prior cost of reversed wires of one channel after other readings of the mounting have fitted.
-
-If only the sign of one channel's signal changes, a head that was not turned is the more common cause.
-"""
+"""Prior cost of reversed wires after fitting readings of the same mounting: a head not turned is likelier."""
 
 SAT_RIGHT: Final = 12.0
 """Prior cost of another orientation at a single reading, after other readings of the mounting have fitted."""
@@ -92,13 +89,19 @@ class OtherPose:
 
 
 def _said(wiring: Wiring) -> str:
-    """Return a phrase on a wiring mistake, such as "channel x is reversed"."""
-    match wiring.channels:
-        case (one,):
-            return f"channel {one} is reversed"
-        case one, other:
-            return f"channels {one} and {other} are swapped"
-    return f"the channels are exchanged in turn: {wiring.shown}"
+    """Return a phrase on a wiring mistake, such as "the wires of channel x are reversed"."""
+    words = {
+        "x": message("the wires of channel x are reversed"),
+        "y": message("the wires of channel y are reversed"),
+        "z": message("the wires of channel z are reversed"),
+        "xy": message("the cables of channels x and y are swapped"),
+        "xz": message("the cables of channels x and z are swapped"),
+        "yz": message("the cables of channels y and z are swapped"),
+    }
+    words["xyz"] = message("the channels are exchanged in turn: x shows y, y shows z, z shows x")
+    if wiring.order[0] == 1:
+        words["xyz"] = message("the channels are exchanged in turn: x shows z, y shows x, z shows y")
+    return words["".join(wiring.channels)]
 
 
 CABLINGS: Final[Mapping[str, Floats]] = {_said(wiring): wiring.matrix for wiring in (*EXCHANGED, *REVERSED)}
@@ -121,7 +124,7 @@ def other_installation(actual: str, stated: str, before: str | None) -> Supposit
 
     `before` is the installation of the previous mounting; a block left in it is the likeliest mistake of this kind.
     """
-    text = f"the block sits in installation {actual}, not in {stated}"
+    text = message(f"the block sits in installation {actual}, not in {stated}")
     return Supposition(text, Kind.INSTALLATION, 0.0 if actual == before else OTHER_INSTALLATION)
 
 
@@ -144,36 +147,30 @@ def head_elsewhere(
             found.append(OtherPose(supposed, label, off_rad))
 
     if last_rad is not None:
-        add(
-            f"the head was not turned: the signals are those of the point before, at {format_dms(last_rad)}",
-            Kind.NOT_TURNED,
-            last_rad - angle_rad,
+        text = message(
+            f"the head was not turned: the signals are those of the point before, at {format_dms(last_rad)}"
         )
+        add(text, Kind.NOT_TURNED, last_rad - angle_rad)
     if next_rad is not None:
-        text = f"the head was turned to the next point: it stood at {format_dms(next_rad)}"
+        text = message(f"the head was turned to the next point: it stood at {format_dms(next_rad)}")
         add(text, Kind.NEXT_POINT, next_rad - angle_rad)
     reflected = float(reflected_rad(np.asarray(angle_rad)))
     if pivot_rad is not None:
         stood = 2 * pivot_rad - angle_rad
-        also = ", or 360° - x was read for x" if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD else ""
-        text = f"the head was turned the wrong way{also}: it stood at {format_dms(stood % (2 * np.pi))}"
+        at = format_dms(stood % (2 * np.pi))
+        text = message(f"the head was turned the wrong way: it stood at {at}")
+        if abs(wrapped_rad(stood + angle_rad)) < SAME_RAD:
+            text = message(f"the head was turned the wrong way, or 360° - x was read for x: it stood at {at}")
         add(text, Kind.WRONG_WAY, stood - angle_rad)
-    add("the head stood at 360° - x where x was read", Kind.SLIP, reflected)
-    slips = [
-        OtherPose(
-            Supposition(
-                f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}",
-                Kind.SLIP,
-                UNLIKELY[Kind.SLIP],
-            ),
-            label,
-            off,
-        )
-        for name, slip in SLIPS_RAD.items()
-        for off in (slip, -slip)
-        if all(abs(wrapped_rad(one.off_rad - off)) > SAME_RAD for one in found)
-    ]
-    add("the head stood on the opposite side of its circle (180°)", Kind.SLIP, float(np.pi))
+    add(message("the head stood at 360° - x where x was read"), Kind.SLIP, reflected)
+    slips = []
+    for name, slip in SLIPS_RAD.items():
+        for off in (slip, -slip):
+            if all(abs(wrapped_rad(one.off_rad - off)) > SAME_RAD for one in found):
+                text = message(f"the setting is {name} off: the head stood at {format_dms(angle_rad + off)}")
+                supposed = Supposition(text, Kind.SLIP, UNLIKELY[Kind.SLIP])
+                slips.append(OtherPose(supposed, label, off))
+    add(message("the head stood on the opposite side of its circle, 180° off"), Kind.SLIP, float(np.pi))
     return [*found, *slips]
 
 
@@ -332,10 +329,8 @@ class Inquiry:
         tilted = message(f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation")
         supposed = [Supposition(about, Kind.MOVED), Supposition(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
-            off_v = part[2 + i] * further[2 + i, i]
-            text = message(
-                f"channel {channel} alone is off by {off_v * 1e3:+.3g} mV (its cable or voltmeter)"
-            )
+            off_mv = f"{part[2 + i] * further[2 + i, i] * 1e3:+.3g} mV"
+            text = message(f"channel {channel} alone, by its cable or voltmeter, is off by {off_mv}")
             supposed.append(Supposition(text, Kind.CHANNEL))
         large = [*(np.abs(moved[:2]) > LARGE_RAD), *(np.abs(part[2:]) * CHANNEL_OFF_G > LARGE_G)]
         stops = {one.text: bool(is_large) for one, is_large in zip(supposed, large, strict=True)}
@@ -405,12 +400,16 @@ class Inquiry:
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
         """Return the members (supposed mistakes) with reading `k` left out, shifted, or at another setting."""
-        unlikely, was_wrong = UNLIKELY[Kind.EARLIER], message(f"{sighting.place} was wrong")
-        somehow = Supposition(was_wrong, Kind.EARLIER, unlikely)
+        unlikely = UNLIKELY[Kind.EARLIER]
+        somehow = Supposition(message(f"a wrong reading: {sighting.place}"), Kind.EARLIER, unlikely)
         first = 2 + len(self._others(sighting, few=True))
         settings = [
-            Supposition(f"{was_wrong}: {at.supposed.text}", Kind.EARLIER, unlikely + at.supposed.unlikely)
-            for at in _settings(sighting)
+            Supposition(
+                message(f"a wrong setting at {sighting.place}: {at.text}"),
+                Kind.EARLIER,
+                unlikely + at.unlikely,
+            )
+            for at in (one.supposed for one in _settings(sighting))
         ]
         return [
             *(Member(somehow, reading=k, shift=shift) for shift in (ABSENT, *range(SHIFTS))),

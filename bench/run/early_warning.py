@@ -220,11 +220,12 @@ class EarlyWarning:
         if new_mount:
             self._confidence.mounted()
         self._mounted_anew = False
-        where = message(
-            f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point}"
+        place = message(
+            f"installation {conditions.mounts[0]}, pass {reading.pass_number}, point {reading.point} at "
+            f"{format_dms(float(conditions.angle_rad[0]))}"
         )
         sighting = Sighting(
-            place=f"{where} at {format_dms(float(conditions.angle_rad[0]))}",
+            place=place,
             row=conditions,
             signal_v=np.asarray(reading.mean, dtype=np.float64),
             pose=poses(self._model, self._nominal, conditions, [reading.installation], conditions.angle_rad),
@@ -334,8 +335,11 @@ class EarlyWarning:
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
-        words = f"{_misfit(judged, channels)}; {_why(causes, at_fault)}"
-        return self._sign(sighting, judged, channels, words, causes, at_fault, confident=confident)
+        text = message(
+            f"the reading of {sighting.place} differs from the prediction: {_misfit(judged, channels)}; "
+            f"{_why(causes, at_fault)}"
+        )
+        return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
         """Return the sign that an undecided reading was wrong, if the present reading shows this; else []."""
@@ -343,18 +347,19 @@ class EarlyWarning:
         if found is None:
             return []
         wrong, causes = found
-        words = message(f"it fits, so {_why(causes, wrong)}")
-        return [self._sign(self._history[-1], judged, (), words, causes, wrong, confident=True)]
+        now = self._history[-1]
+        text = message(f"the reading of {now.place} fits, so {_why(causes, wrong)}")
+        return [self._sign(now, judged, (), text, causes, wrong, confident=True)]
 
     def _noisy(self, sighting: Sighting, judged: ReadingJudgement) -> EarlySign:
         """Return the sign that the bench is noisier than its file states; `take` returns it once in a run."""
         found, stated = self.noise.reading_v, self._repeats.stated.reading_v
         cause = message("the bench is noisier than its file states")
-        words = message(
-            f"repeats scatter by {_millivolts(found)}, but the bench file states {_millivolts(stated)}; this "
-            "noise may have caused the warnings so far, and it hides smaller mistakes"
+        text = message(
+            f"at {sighting.place}: repeats scatter by {_millivolts(found)}, but the bench file states "
+            f"{_millivolts(stated)}; this noise may have caused the warnings so far, and it hides smaller mistakes"
         )
-        sign = self._sign(sighting, judged, CHANNELS, words, [])
+        sign = self._sign(sighting, judged, CHANNELS, text, [])
         return replace(sign, causes=(cause,))
 
     def _sign(
@@ -362,14 +367,14 @@ class EarlyWarning:
         sighting: Sighting,
         judged: ReadingJudgement,
         channels: tuple[str, ...],
-        words: str,
+        text: str,
         causes: Sequence[Suspect],
         at_fault: Sighting | None = None,
         *,
         confident: bool = False,
     ) -> EarlySign:
         return EarlySign(
-            sentence=f"{sighting.place}: {words}",
+            sentence=text,
             place=sighting.place,
             channels=channels,
             sigma=tuple(judged.sigma[0].tolist()),
@@ -468,30 +473,31 @@ def watcher_of(plan: Plan, bench: BenchFile) -> EarlyWarning:
 
 
 def _misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
-    """Return a phrase on the deviations of the reading from the expectation, for the given channels."""
+    """Return the deviations of the reading from the expectation: "x -30.3 mV (u = 0.45 mV, 67 σ), …"."""
     parts = []
     for channel in channels:
         i = CHANNELS.index(channel)
         off_v, u_v = float(judged.residual[0, i]), math.sqrt(judged.covariance[0, i, i])
         parts.append(
-            f"channel {channel} differs by {_millivolts(off_v, '+')} from the prediction "
-            f"(u = {_millivolts(u_v)}, {abs(off_v) / u_v:.0f} sigma)"
+            f"{channel} {_millivolts(off_v, '+')} (u = {_millivolts(u_v)}, {abs(off_v) / u_v:.0f} σ)"
         )
     return ", ".join(parts)
 
 
 def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
     """Return a phrase on the causes; `at_fault` is an earlier reading that was wrong, if any."""
-    texts = [cause.text for cause in causes]
+    listed = "; ".join(cause.text for cause in causes[:MOST_LISTED])
     if at_fault:
-        mistake = f"the mistake is at {at_fault.place}, which does not fit the other readings"
-        return f"{mistake}: {' or '.join(texts)}" if causes else mistake
+        if not causes:
+            return message(f"the mistake is at {at_fault.place}, which does not fit the other readings")
+        return message(f"the mistake is at {at_fault.place}, which does not fit the other readings; {listed}")
     if not causes:
-        return "no known single mistake explains it"
+        return message("no known single mistake explains it")
     if len(causes) > MOST_LISTED:
-        listed = " or ".join(texts[:MOST_LISTED])
-        return f"{len(causes)} mistakes explain it so far, the likeliest: {listed}"
-    return f"probable cause: {' or '.join(texts)}"
+        return message(f"so far {len(causes)} mistakes explain it, the likeliest: {listed}")
+    if len(causes) > 1:
+        return message(f"probable causes: {listed}")
+    return message(f"probable cause: {listed}")
 
 
 def _millivolts(value_v: float, sign: str = "") -> str:

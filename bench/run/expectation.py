@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration.design import STEP_RAD, coefficient_columns
 from bench.model.conditions import Conditions, Mounting
 from bench.model.forward import ForwardModel
@@ -296,11 +297,10 @@ def orientations(installations: Mapping[str, Installation], label: str) -> dict[
         turned = turn @ own
         if (np.abs(turned - known) < 1e-5).all(axis=(1, 2)).any():
             continue
-        axes = [("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3)]
-        where = ", ".join(
-            f"axis {CHANNELS[i]} is where {axes[i]} belongs" for i in range(3) if axes[i] != CHANNELS[i]
+        axes = ", ".join(("" if signs[i] > 0 else "-") + CHANNELS[order[i]] for i in range(3))
+        text = message(
+            f"the block is not mounted as in installation {label}: its axes x, y, z are in the places of {axes}"
         )
-        text = f"the block is not mounted as in installation {label}: {where}"
         found[text] = Installation(text, turned)
     return found
 

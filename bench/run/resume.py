@@ -248,7 +248,7 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
         text=message(
-            f"Stopped. {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
+            f"Stopped: {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
             "mount the block again and redo the pass, or keep the readings and give a reason"
         ),
         choices=(*answers, message("go on REASON")),

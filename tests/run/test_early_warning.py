@@ -1,6 +1,7 @@
 """Early warning: a good run is silent; each classic mistake is seen where it happens, and named."""
 
 import json
+import re
 from dataclasses import replace
 from itertools import pairwise
 
@@ -9,6 +10,7 @@ import pytest
 from scipy import stats
 from scipy.spatial.transform import Rotation
 
+from bench.base.languages import catalogue
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import Reading
 from bench.run.early_warning import EarlyWarning
@@ -100,9 +102,9 @@ def test_noise_as_large_as_stated_is_found_to_be_so():
 @pytest.mark.parametrize(
     ("order", "cause"),
     [
-        ([1, 0, 2], "channels x and y are swapped"),
-        ([2, 1, 0], "channels x and z are swapped"),
-        ([0, 2, 1], "channels y and z are swapped"),
+        ([1, 0, 2], "the cables of channels x and y are swapped"),
+        ([2, 1, 0], "the cables of channels x and z are swapped"),
+        ([0, 2, 1], "the cables of channels y and z are swapped"),
         ([1, 2, 0], "x shows y, y shows z, z shows x"),
         ([2, 0, 1], "x shows z, y shows x, z shows y"),
     ],
@@ -122,14 +124,14 @@ def test_a_reversed_channel_is_seen_where_it_first_feels_gravity(channel, seen):
     )
     assert signs[0][0] == seen
     assert signs[0][1].channels == (channel,)
-    assert f"channel {channel} is reversed" in signs[1][1].causes
+    assert f"the wires of channel {channel} are reversed" in signs[1][1].causes
 
 
 def test_a_head_that_counts_the_other_way_is_named_with_what_looks_the_same():
     """In installation 1 no reading tells it from a reversed x."""
     signs = watch(run_of(3, off_rad=-2 * plan()[3])[:3])
     assert signs[1][0] == 3
-    assert set(signs[1][1].causes) == {"the head counts the other way", "channel x is reversed"}
+    assert set(signs[1][1].causes) == {"the head counts the other way", "the wires of channel x are reversed"}
 
 
 @pytest.mark.parametrize(
@@ -205,8 +207,8 @@ def test_of_a_shift_of_no_certain_size_neither_reading_is_blamed_alone(seed):
     rows = run_of(seed, wired=wired)[:9]
     following = {row.place: np.radians(after.angle_deg) for row, after in pairwise(rows)}
     signs = dict(watch(rows, EarlyWarning(NOMINAL, MODEL, BENCH_U, following=following)))
-    assert any("channel z alone is off by" in cause for cause in signs[4].causes)
-    assert "installation 1, pass 1, point 3 at 90°00′00″ was wrong" in signs[4].causes
+    assert any("channel z alone, by its cable or voltmeter, is off by" in cause for cause in signs[4].causes)
+    assert "a wrong reading: installation 1, pass 1, point 3 at 90°00′00″" in signs[4].causes
     assert not signs[4].confident
     assert signs[5].at_fault == "installation 1, pass 1, point 3 at 90°00′00″"
 
@@ -220,7 +222,31 @@ def test_one_channel_that_is_off_once_is_named():
     assert number == 21
     assert sign.channels == ("z",)
     assert sign.sigma[2] > 20
-    assert any("channel z alone is off by +" in cause for cause in sign.causes)
+    assert any("channel z alone, by its cable or voltmeter, is off by +" in cause for cause in sign.causes)
+
+
+@pytest.mark.parametrize(
+    "mistaken",
+    [
+        {"wired": channels([1, 0, 2])},
+        {"wired": channels([1, 2, 0])},
+        {"wired": channels([0, 1, 2], [1, 1, -1])},
+        {"off_rad": -2 * plan()[3]},
+        {"off_rad": at(7, np.radians(45.0))},
+        {"off_rad": at(21, np.radians(-1.0))},
+        {"off_rad": np.where(np.arange(N) >= 12, np.radians(0.3), 0.0)},
+        {"actual": ["2", *plan()[0][1:]]},
+        {"actual": ["1" if label == "2" else label for label in plan()[0]]},
+        {"wired": lambda signal: signal + np.outer(np.arange(N) == 20, [0.0, 0.0, 5e-3])},
+        {"noise_v": 1e-3},
+    ],
+)
+def test_each_warning_can_be_read_in_ukrainian(mistaken):
+    signs = watch(run_of(3, **mistaken))
+    assert signs
+    for _, sign in signs:
+        for text in (sign.sentence, *sign.causes):
+            assert not re.findall(r"[a-z]{2,}", catalogue("uk").translate(text).replace("mV", "")), text
 
 
 def test_a_bench_that_is_noisier_than_stated_is_told_so_and_then_learnt():
@@ -306,7 +332,7 @@ def test_a_warning_can_be_recorded_and_read():
     recorded = json.loads(json.dumps(sign.to_json(), allow_nan=False))
     assert recorded["channels"] == ["x", "z"]
     assert recorded["place"] == "installation 1, pass 2, point 6 at 225°00′00″"
-    assert sign.sentence.startswith(f"{sign.place}: channel x differs by +2")
+    assert sign.sentence.startswith(f"the reading of {sign.place} differs from the prediction: x +2")
     assert sign.sentence.endswith("probable cause: the setting is 1° off: the head stood at 226°00′00″")
     assert sign.p < 1e-6
 

@@ -396,7 +396,7 @@
     list("warnings", state.warnings, (warning) => {
       const one = made("div", undefined, `note ${warning.stops ? "bad" : "open"}`);
       one.append(made("p", `⚠ ${_(warning.words)}`));
-      if (warning.causes.length) one.append(made("p", _(`probable cause: ${warning.causes.join(" or ")}`), "soft"));
+      if (warning.causes.length > 3) one.append(made("p", _(`all causes: ${warning.causes.join("; ")}`), "soft"));
       return one;
     });
     list("log", state.log, (line) => {
