@@ -50,7 +50,7 @@ _WAITING: Final = ("*WAI", "*OPC?")
 
 @dataclass
 class Measuring:
-    """The settings for a sample (a `Measurement`); the defaults are those of *RST."""
+    """The settings of the meter, as a `sim.voltmeters.Measurement`; the defaults are those of *RST."""
 
     nplc: float = 1.0
     autozero: bool = True
@@ -67,7 +67,7 @@ class Measuring:
 
 
 class Buffer(MeasuringCycle):
-    """The trigger system and the buffer, which stores the readings after FEED:CONTrol NEXT."""
+    """The trigger system and the buffer, which FEED:CONTrol NEXT lets store readings until it is full."""
 
     memory_depth = facts.MEMORY_READINGS
 
@@ -171,7 +171,7 @@ class Keithley2000(ScpiInstrument):
 
     @property
     def overloaded(self) -> bool:
-        """Whether the input is overloaded, whatever the voltage at the terminals."""
+        """Whether every sample is an overload, whatever the voltage at the terminals; can be set."""
         return self._converter.overloaded
 
     @overloaded.setter

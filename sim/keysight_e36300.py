@@ -1,7 +1,7 @@
 """A simulated Keysight E36311A, E36312A or E36313A, whose outputs feed the block of the world.
 
-The simulation covers setting, protecting, switching and monitoring the outputs, but not lists, triggers or data
-logging. Source: E36300 Series Programming Guide, as in the facts.
+The simulation covers setting, protecting, switching and monitoring the outputs, but not lists, triggers or
+data logging. Source: E36300 Series Programming Guide, as in `drivers.facts.keysight_e36300`.
 """
 
 from __future__ import annotations

@@ -40,7 +40,7 @@ _LONGEST_MNEMONIC: Final = 12
 
 
 class DeviceClear(Exception):
-    """A device clear arrived while a command waited; the command in progress is given up."""
+    """A device clear arrived while a command waited; that command is aborted and has no reply."""
 
 
 def never() -> bool:
@@ -118,7 +118,7 @@ class ScpiInstrument:
     # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Do nothing; a subclass waits or raises `ScpiError` here, before a command's parameters are parsed."""
+        """Do nothing; a subclass may wait or raise `ScpiError` here, before parameters are parsed."""
 
     def reset(self) -> None:
         """Carry out *RST; a subclass resets its settings."""
@@ -182,10 +182,7 @@ class ScpiInstrument:
         return path
 
     def _find(self, header: str) -> Command:
-        """Return the command for a header; raise `ScpiError` -113 if there is none.
-
-        Only successful look-ups are cached, so the cache stays small.
-        """
+        """Return the command for a header, and cache only it; raise `ScpiError` -113 if there is none."""
         if header not in self._found:
             for pattern, command in self._table:
                 if pattern.match(header):

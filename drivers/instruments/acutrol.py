@@ -29,7 +29,7 @@ class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
     A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the
-    speed in `travel` only sets when a move has stalled or takes too long. Angles are sent rounded to 0.001°.
+    speed in `travel` is only the measure of a stalled or overlong move. Angles are sent rounded to 0.001°.
     Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
     """
 
@@ -58,10 +58,8 @@ class AcutrolHead(MotorisedHead):
     def open(self) -> Identity:
         """Connect, switch the controller's lockout on, then open, reset and close the interlock.
 
-        The table is then powered but does not move.
-
-        The controller has no identity query: the format of its replies identifies it.
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        The table is then powered but does not move. The controller has no identity query: the format of its
+        replies identifies it. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
         self._positioning = False
         super().open()

@@ -84,10 +84,7 @@ class HeidenhainNd28x(ReadOutHead):
                 raise InstrumentRefused(self.name, what, "set it by its keys, then start again")
 
     def _shown_rad(self) -> float:
-        """Return the value on the display, rad.
-
-        Raises `InstrumentRefused` for a relative value, a message or any other text in place of degrees.
-        """
+        """Return the displayed angle, rad. Raises `InstrumentRefused` for a relative value or other text."""
         self._refuse_without_reference()
         shown = self._session.ask(facts.ASK_DISPLAY, _SHOWN, "what is displayed, such as +00045.0028")[1:]
         match = _VALUE.fullmatch(shown)

@@ -112,10 +112,7 @@ class WatlowF4TChamber(ControlledChamber):
         return self._session.ask(":UNIT:TEMPERATURE?", "[CF]", "C or F") == "F"
 
     def _temperature_c(self, what: str) -> float:
-        """Return the temperature `what` of the loop, PVALUE or SPOINT, °C.
-
-        The unit is queried each time, as somebody may change it.
-        """
+        """Return PVALUE or SPOINT (`what`) of the loop, °C; query the unit first, as somebody may change it."""
         fahrenheit = self._fahrenheit()
         value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
         return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value

@@ -162,7 +162,7 @@ def _number(text: str) -> str:
 
 
 class Holding:
-    """The locks of this program, as files in `folder`; a resource taken twice must be released twice."""
+    """The locks of this program, as files in `folder`; a resource locked twice must be released twice."""
 
     _held: Final[dict[Path, tuple[FileLock, int]]] = {}
     _guard: Final = threading.Lock()
@@ -171,10 +171,10 @@ class Holding:
         self._folder = folder
 
     def take(self, name: str, resource: str, called: str = "") -> None:
-        """Lock the resource of instrument `name`; if no files can be locked there, lock nothing.
+        """Lock the resource of instrument `name`; if files in the folder cannot be locked, lock nothing.
 
-        Raises `InstrumentRefused`, which names the holder, if another program has it. The message names the
-        resource, or `called` instead, for example for a resource that no person typed.
+        Raises `InstrumentRefused`, which names the holder, if another program has locked it. The message
+        calls the resource `called`, if that is not empty, for example for a resource that no person typed.
         """
         path = self._path(resource)
         with self._guard:
