@@ -131,9 +131,9 @@ class ControlledChamber(ProvedInstrument):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Send the set point, read it back, and start conditioning.
 
-        Raises `LimitExceeded` for a set point outside the bench file's limits (before anything is sent) or the
-        controller's (before anything is set); `InstrumentRefused` if the chamber is not ready or the set point is
-        not applied; `InstrumentLost`, `BadReading`.
+        Raises `LimitExceeded` for a set point outside the bench file's limits, before anything is sent, or
+        outside the controller's limits, before anything is set. Raises `InstrumentRefused` if the chamber is
+        not ready or the set point is not applied; `InstrumentLost`, `BadReading`.
         """
         self._limits.check(self.name, target_c)
         self._refuse_unready(target_c)

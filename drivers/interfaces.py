@@ -59,7 +59,7 @@ class WentAstray(BenchError):
 
 
 class NotConnected(BenchError):
-    """One or more instruments could not be opened; `failures` holds the error of each."""
+    """One or more instruments could not be opened; `failures` holds all of them."""
 
     def __init__(self, failures: Sequence[BenchError]) -> None:
         self.failures = tuple(failures)
@@ -101,12 +101,12 @@ class Identity:
 
 
 class Instrument(Protocol):
-    """An instrument on the bench: it is opened, identified, and left safe when closed."""
+    """An instrument on the bench: `open` connects and identifies it, `close` leaves it safe."""
 
     name: str
 
     def open(self) -> Identity:
-        """Connect, verify the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
+        """Verify and return the identity. Raises `InstrumentLost`, `InstrumentRefused`, `BadReading`."""
 
     def close(self) -> str | None:
         """Make the instrument safe, return it to local control and disconnect. Never raises, may be called twice.
@@ -466,7 +466,8 @@ class PowerSupply(Instrument, Protocol):
     def state(self, key: str) -> dict[str, OutputState]:
         """Return the state of every output as reported by the supply; nothing is changed.
 
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (for errors reported), `NoAnswer`.
+        Raises `InstrumentRefused` for errors that the supply reports, `InstrumentLost`, `BadReading`,
+        `NoAnswer`.
         """
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:

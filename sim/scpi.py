@@ -103,7 +103,7 @@ class ScpiInstrument:
         return ";".join(replies).encode("ascii") if replies else None
 
     def device_clear(self) -> None:
-        """Abort the command or measurement in progress; keep settings and errors."""
+        """Do nothing; a subclass aborts its measurement in progress and keeps settings and errors."""
 
     def input_overflow(self) -> None:
         """Report a message that exceeded the input buffer (-223)."""
@@ -124,7 +124,7 @@ class ScpiInstrument:
         """Carry out *RST; a subclass resets its settings."""
 
     def self_test(self) -> int:
-        """Carry out *TST? and return 0 (passed) or 1."""
+        """Carry out *TST? and return 0 (passed); a subclass may return 1."""
         return 0
 
     def number(self, value: float) -> str:
@@ -226,9 +226,9 @@ _ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS",
 class RemoteInstrument(ScpiInstrument):
     """An instrument with local and remote mode; `interface` is the interface that it is set to.
 
-    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but identification,
-    errors, status and the SYSTem:REMote family. One set to "gpib" always refuses this family (+514). One set to
-    "lan" refuses nothing.
+    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but those for
+    identification, errors and status and the SYSTem:REMote family. An instrument set to "gpib" always refuses
+    this family (+514). An instrument set to "lan" refuses nothing.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:

@@ -107,7 +107,7 @@ WORDS: Final = (MIN, MAX, DEF)
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: outputs of a world, one of them selected.
+    """The base of the Keysight supplies; its outputs are in the world, and one of them is selected.
 
     `facts` is the supply's module in `drivers.facts`.
     """

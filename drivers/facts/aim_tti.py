@@ -2,9 +2,9 @@
 
 Sources: CPX400DP and PL & PL-P Series Instruction Manuals, "Remote commands", as quoted in three drivers:
 libsigrok (`src/hardware/aim-tti-dps`) for the CPX (ranges, steps, format of the replies, bits of LSR),
-PyMeasure (`aimttiPL.py`) and QCoDeS (`_AimTTi_PL_P.py`) for the PL-P. No driver uses the over-voltage
-protection of the PL-P. Not in these sources, so check on your instrument: the range of the CPX's protection,
-the error numbers of EER.
+PyMeasure (`aimttiPL.py`) and QCoDeS (`_AimTTi_PL_P.py`) for the PL-P. None of the three covers the
+over-voltage protection of the PL-P. Not in these sources, so check on your instrument: the range of the CPX's
+protection, the error numbers of EER.
 """
 
 from typing import Final

@@ -86,7 +86,7 @@ class AcutrolHead(MotorisedHead):
             self._positioning = True
 
     def position_rad(self) -> float:
-        """Return the angle read back, rad."""
+        """Return the table's angle, read from the controller, rad."""
         return math.radians(self._read("position"))
 
     def start(self, target_rad: float) -> None:

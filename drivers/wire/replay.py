@@ -319,9 +319,10 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether the next line of the log is data; with `timeout_s` 0 such data is unsolicited.
+        """Return whether the next line of the log is data; if it is a failure, raise the failure.
 
-        Raises a failure that the log has here. Without data, the clock advances by `timeout_s`.
+        A wait with `timeout_s` 0, before a command is sent, finds unsolicited data. Without data, the clock
+        advances by `timeout_s`.
         """
         self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
         self.fail(self._when)

@@ -326,7 +326,7 @@ class ServedInstrument:
     def exchange(
         self, session: Session, message: bytes, interrupted: Callable[[], bool]
     ) -> tuple[bytes | None, WireFault | None]:
-        """Carry out a message; return the reply and the fault of the wire for this exchange."""
+        """Carry out a message; return the reply and the wire's fault for this exchange, each None if none."""
 
         def cleared() -> bool:
             return bool(self._clearing) or interrupted()

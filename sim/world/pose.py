@@ -140,7 +140,7 @@ class HeadTurn:
         return self.start_rad + math.copysign(turned_rad, self.end_rad - self.start_rad)
 
     def rate_rad_s(self, time_s: float) -> float:
-        """Return the signed rate at a time, rad/s; zero at rest."""
+        """Return the rate at a time, rad/s, negative for a falling angle; zero at rest."""
         if not self.since_s <= time_s < self.arrives_s:
             return 0.0
         return math.copysign(self.speed_rad_s, self.end_rad - self.start_rad)

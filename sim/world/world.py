@@ -98,13 +98,13 @@ class Heat:
         self._go_on(now_s, target_c, 0.0, 0.0, 1.0)
 
     def relax_air(self, now_s: float, target_c: float, lag_s: float) -> None:
-        """Let the air relax to `target_c` with a time constant, as in a chamber that is switched off."""
+        """Let the air relax to `target_c` with the time constant `lag_s`, as in a chamber that is off."""
         self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
 
     def ramp_air(
         self, now_s: float, target_c: float, rate_c_s: float, lag_s: float, ringing_s: float = 0.0
     ) -> None:
-        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
+        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with `lag_s`.
 
         With a period `ringing_s` the air overshoots the target and oscillates about it with this period; the
         oscillation decays with the lag.
@@ -299,7 +299,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to the values that levelling it for this mounting leaves."""
+        """Level the platform for a mounting: axis tilt and zero offset take that mounting's drawn values."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -457,7 +457,7 @@ class World(KeyedNumbers):
 
     @property
     def series(self) -> int:
-        """The series of the present mounting."""
+        """The number of the present mounting in its installation, from 1."""
         return self._poses[-1].series
 
     @property
@@ -467,7 +467,7 @@ class World(KeyedNumbers):
 
     @property
     def head_rate_rad_s(self) -> float:
-        """The signed rate at which the motor turns the head, rad/s; zero at rest."""
+        """The rate at which the motor turns the head, rad/s, negative for a falling angle; zero at rest."""
         return self._poses[-1].turn.rate_rad_s(self.clock.now_s())
 
     @property
@@ -503,7 +503,7 @@ class World(KeyedNumbers):
         return self.block_c_at(self.clock.now_s())
 
     def block_c_at(self, time_s: float) -> float:
-        """Return the temperature of the block at a time of the clock, °C (first-order lag, closed form)."""
+        """Return the temperature of the block at a time of the clock, °C, with its lag and the room's share."""
         with self._lock:
             in_air_c = self._heat.block_c(time_s)
         return in_air_c + self.settings.room_share * (self.room_c(time_s) - in_air_c)
