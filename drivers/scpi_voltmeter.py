@@ -1,8 +1,8 @@
-"""Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
+"""Base class of the SCPI voltmeters, which identifies, configures, starts and reads a meter.
 
-A model's driver states the accepted identities, the settings, and the replies that confirm them. It also overrides
-the commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
-communication, lost connections and power cuts for all models.
+A model's driver states the accepted identities, the settings, and the replies that confirm them. It also
+overrides the commands for triggering, readings, errors and remote control that differ from a 34401A's. This
+module handles communication, lost connections and power cuts for all models.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A simulated Keithley 2000 on one channel of the world: DC volts, the buffer, triggering.
 
-Other functions answer -113; filter and relative can be set but have no effect. The meter accepts commands while it
-measures: only *WAI and *OPC? wait. Sources: see its facts. The format of numbers other than readings is an
-assumption, not from the manual.
+Other functions cause the error -113; filter and relative can be set but have no effect. The meter accepts
+commands while it measures: only *WAI and *OPC? wait. Sources: see `drivers.facts.keithley_2000`. The format
+of numbers other than readings is an assumption, not from the manual.
 """
 
 from __future__ import annotations

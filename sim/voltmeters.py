@@ -208,11 +208,11 @@ class Converter:
     """The converter from the voltage at the terminals to readings; `facts` has the ranges and error limits.
 
     With `noise`, each sample has white noise that depends on its integration time, and is rounded to the
-    resolution; without, samples are exact (a reply still has only 8 decimals).
-    With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature coefficients,
-    uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the errors instead; a range
-    that it lacks has none. None means no errors.
-    `flaws` are the fields of `InputFlaws`; None means an ideal input.
+    resolution. Without `noise`, samples are exact (a reply still has only 8 decimals).
+    With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature
+    coefficients, uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the
+    errors instead; a range that it lacks has none. None means no errors. `flaws` are the fields of
+    `InputFlaws`; None means an ideal input.
     The terminals carry only a DC voltage: AC functions, current, frequency and period read zero; resistance,
     continuity, diode and ratio give an overload. While `overloaded` is set, every sample is an overload.
     """
@@ -500,7 +500,7 @@ class MeasuringCycle(ABC):
         return ",".join(self._memory) + self.after_last
 
     def complete(self) -> None:
-        """Wait until the measurement in progress, if any, ends or its client leaves.
+        """Wait until a measurement in progress ends; abort it if its client leaves meanwhile.
 
         Raises `DeviceClear` if a device clear arrives meanwhile.
         """

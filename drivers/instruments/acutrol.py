@@ -29,8 +29,8 @@ class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
     A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the
-    speed in `travel` is only the measure of a stalled or overlong move. Angles are sent rounded to 0.001°.
-    Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
+    driver uses the speed in `travel` only to detect a stalled or overlong move. Angles are sent rounded to
+    0.001°. Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
     """
 
     def __init__(

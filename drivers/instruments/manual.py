@@ -169,9 +169,9 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 class ManualLevel(ByHand):
     """A `Level` with one vial, which a person lays first along the shaft, then across it.
 
-    The scale has `most_divisions` of `division_rad` on either side of its middle. The standard uncertainties
-    are `reading_divisions` for a reading, `scale` (relative) for a division, and `turn_rad` for the direction
-    of the level.
+    The scale has `most_divisions` divisions of `division_rad` on either side of its middle. The standard
+    uncertainties are `reading_divisions` for a reading, `scale` (relative) for a division, and `turn_rad` for
+    the direction of the level.
     """
 
     model = "bubble level"

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 class WatlowF4TChamber(ControlledChamber):
     """A `ThermalChamber` on one control loop of an F4T.
 
-    `output` is the output that switches conditioning on, if the chamber has one: it is switched on with each set
-    point and off by `make_safe`. Without an output, `make_safe` sets `safe_c`. `identity` is a
-    case-insensitive pattern for the reply to *IDN?. `open` also verifies that the controller reports °C or °F.
+    `output` is the output that switches conditioning on, if the chamber has one: it is switched on with each
+    set point and off by `make_safe`. Without an output, `make_safe` sends the set point `safe_c`, °C.
+    `identity` is a case-insensitive pattern for the reply to *IDN?. `open` also verifies that the controller
+    reports °C or °F.
     """
 
     resolution_c = facts.RESOLUTION_C

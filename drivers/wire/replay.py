@@ -14,7 +14,7 @@ of the log; `clock.catch_up()` advances it to the next line before a call of the
 
     python -m drivers.wire.replay wire.log --instrument voltmeter.x
 
-prints pairs of (sent, answered), for tests of another form. A log of an earlier version has no `!` lines: a query
+prints pairs of (sent, answered), for other tests. A log of an earlier version has no `!` lines: a query
 without reply then counts as silence, every reply as complete, every connection as made. No log holds the driver's
 settings, or the loss of the link by another instrument on the same GPIB adapter. The log of a dry run has the
 computer's time, not the bench's. In a reply, `\\x` with two hex digits, `\\n`, `\\r` and `\\t` are unescaped.

@@ -127,10 +127,10 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 def normalised(resource: str) -> str:
     """Return one name for all usual spellings of a resource.
 
-    The case, optional parts, hexadecimal or decimal numbers, and localhost or 127.0.0.1 make no difference. Leading
-    zeros do (`GPIB0::022`, `GPIB0::22`), as do a host's name and its address, because host names are not resolved.
-    Instruments behind one adapter share the adapter's name. A serial port is named after the device to which its
-    symbolic links resolve.
+    The case, optional parts, hexadecimal or decimal numbers, and localhost or 127.0.0.1 make no difference.
+    Leading zeros make a difference (`GPIB0::022`, `GPIB0::22`), and so do a host's name and its address,
+    because host names are not resolved. Instruments behind one adapter share the adapter's name. A serial
+    port is named after the device to which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]

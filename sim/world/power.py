@@ -33,7 +33,7 @@ DISTURBANCES: Final[Mapping[DisturbanceKind, str]] = {
 class Rail:
     """A supply rail of the block: the output that feeds it, its nominal voltage, V, and nominal current, A.
 
-    The block works within `working_v`, V. Its absolute maximum ratings are `absolute_v`, V, and `absolute_a`,
+    The block works within `working_v`, V; its absolute maximum ratings are `absolute_v`, V, and `absolute_a`,
     A.
     """
 
