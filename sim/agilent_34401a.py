@@ -327,7 +327,7 @@ class Trigger(MeasuringCycle):
         return reading_text(value, self._converter.step(self._configuration))
 
     def commands(self) -> list[Command]:
-        """Return the commands and queries for triggering, memory and average."""
+        """Return the commands and queries for triggering and memory."""
         word = (Number(optional=True),)
         return [
             Command("INITiate[:IMMediate]", self.initiate),

@@ -89,7 +89,7 @@ class Buffer(MeasuringCycle):
         self.sample_count = 1
 
     def initiate(self) -> None:
-        """INITiate. Raises `ScpiError` -213 during a measurement and in continuous mode."""
+        """INITiate: start a measurement. Raises `ScpiError` -213 if not idle, or in continuous mode."""
         if self.continuous:
             raise ScpiError(-213)
         self._require_idle()

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class KeysightE36300(KeysightSupply):
-    """A supply of the series. Commands without a channel list apply to the first output, which stays selected."""
+    """A supply of the E36300 series; commands without a channel list apply to its first output."""
 
     def __init__(self, world: World, *, model: str = "E36312A") -> None:
         super().__init__(world, facts, model, numbered(facts.IDENTITY.format(model=model), 1))

@@ -422,13 +422,13 @@ class LineMeter(RemoteInstrument):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Refuse a command that the interface does not allow; otherwise wait for a measurement in progress."""
+        """Refuse what the interface does not allow; all but `beside_measuring` wait while the meter measures."""
         super().admit(command)
         if command.notation not in self.beside_measuring:
             self.cycle.complete()
 
     def device_clear(self) -> None:
-        """Stop measuring and become idle; keep settings and errors."""
+        """Stop measuring, discard the readings and become idle; keep settings and errors."""
         self.cycle.abort()
 
     @property

@@ -27,7 +27,7 @@ _VALUE: Final = re.compile(r"([+ -]) *(\d+\.\d+) *")
 
 
 class HeidenhainNd28x(ReadOutHead):
-    """A `DividingHead` with an encoder on a display unit, `model` ND-281B or ND-287, in decimal degrees."""
+    """A `DividingHead` whose encoder is on an ND-281B or ND-287 (`model`), set to decimal degrees."""
 
     def __init__(
         self,

@@ -242,7 +242,7 @@ class Connection:
         return connection
 
     def close(self) -> None:
-        """Close the resource; if pyvisa fails to, close the underlying port. Never raises."""
+        """Close the resource, and the underlying port even if pyvisa fails to. Never raises."""
         _discard(self._visa)
 
     def take_own_lock(self, timeout_s: float) -> None:

@@ -60,7 +60,7 @@ _DATA_OUT_OF_RANGE: Final = -222
 
 @runtime_checkable
 class Switchable(Protocol):
-    """An instrument that forgets its settings when it is switched off and on."""
+    """An instrument that can be switched off and on."""
 
     def power_cycle(self) -> None:
         """Switch off and on."""

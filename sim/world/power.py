@@ -111,7 +111,7 @@ class OutputReading:
 
 @dataclass(frozen=True)
 class Violation:
-    """A period in which a rail was outside its absolute maximum ratings; `value` is the worst, in V or A."""
+    """A period in which a rail was outside its absolute maximum ratings; `value` is the worst, in `unit`."""
 
     rail: str
     from_s: float
@@ -249,7 +249,7 @@ class Power:
             return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
 
     def on_since_s(self, time_s: float) -> float | None:
-        """Return when the block last got power, as of `time_s`; None if it then has no power or no rails."""
+        """Return the time, s, since which the block has power at `time_s`; None without power or rails."""
         if not self.settings.rails:
             return None
         with self._lock:

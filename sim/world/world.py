@@ -503,7 +503,7 @@ class World(KeyedNumbers):
         return self.block_c_at(self.clock.now_s())
 
     def block_c_at(self, time_s: float) -> float:
-        """Return the temperature of the block at a time of the clock, °C, with its lag and the room's share."""
+        """Return the temperature of the block at a time of the clock, °C."""
         with self._lock:
             in_air_c = self._heat.block_c(time_s)
         return in_air_c + self.settings.room_share * (self.room_c(time_s) - in_air_c)
