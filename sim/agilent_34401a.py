@@ -287,11 +287,11 @@ class Trigger(MeasuringCycle):
         self._begin(keeps=True)
 
     def read(self) -> str | None:
-        """READ?: measure and return the readings, which are stored only if `keeps_latest`; None if none.
+        """READ?: measure and return the readings, which are stored only if `keeps_latest`.
 
-        With an external trigger there is no reply: the meter waits until a device clear. Raises `ScpiError`
-        -213 if a measurement is in progress or waits for a trigger, -214 for the trigger source BUS, 522 for
-        more than `most_readings` readings, which is a limit of this simulation.
+        With an external trigger there is no reply (None): the meter waits until a device clear. Raises
+        `ScpiError` -213 if a measurement is in progress or waits for a trigger, -214 for the trigger source
+        BUS, 522 for more than `most_readings` readings, which is a limit of this simulation.
         """
         self._require_idle()
         if self.source == "BUS":

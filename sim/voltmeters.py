@@ -422,7 +422,7 @@ class LineMeter(RemoteInstrument):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Refuse what the interface does not allow; all but `beside_measuring` wait while the meter measures."""
+        """Refuse what the interface forbids; all but `beside_measuring` wait while the meter measures."""
         super().admit(command)
         if command.notation not in self.beside_measuring:
             self.cycle.complete()

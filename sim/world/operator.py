@@ -185,7 +185,7 @@ class ScriptedOperator:
         return round(angle_rad / self._settings.resolution_rad) * self._settings.resolution_rad
 
     def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
-        """Turn to twice `backoff_rad` (its sign: direction, reversed by a slip) before the angle, then to it."""
+        """Turn to twice `backoff_rad` (sign: direction, reversed by a slip) before the angle, then to it."""
         for end_rad, share in ((angle_rad - 2.0 * backoff_rad, 0.6), (angle_rad, 0.4)):
             way_rad = abs(end_rad - self._world.scale_angle_rad)
             if way_rad > 0.0:

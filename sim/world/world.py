@@ -580,7 +580,7 @@ class World(KeyedNumbers):
         )
 
     def _past_s(self, time_s: float) -> float:
-        """Return `time_s`, at most now, s: a meter's clock may be ahead, the supply is simulated only to now."""
+        """Return `time_s`, at most now, s: a meter's clock may be ahead of the simulated supply."""
         return min(time_s, self.clock.now_s())
 
     def _scan(self, pose: Pose) -> tuple[int, ...]:
