@@ -145,7 +145,7 @@ def format_dms(angle_rad: float, decimals: int = 0) -> str:
 
 
 def scale_text(angle_rad: float) -> str:
-    """Return an angle as the scale shows it, with as many decimals of a second as it needs, at most 3."""
+    """Return an angle, reduced to 0° to 360°, as scale text with 0 to 3 decimals of a second, as needed."""
     shown_rad = angle_rad if 0.0 <= angle_rad <= math.tau else angle_rad % math.tau
     for decimals in range(3):
         text = format_dms(shown_rad, decimals)
@@ -158,9 +158,9 @@ def classic_slip(read_rad: float, target_rad: float, tolerance_rad: float) -> st
     """Return in words the common mistake that turns `target_rad` into `read_rad`, or None if none does.
 
     The mistakes are: one line of the scale off (10°, 1°, 10′, 1′), the opposite side of the circle, 360° - x,
-    two digits swapped. For all but swapped digits, `read_rad` must agree with the reading that the mistake
-    predicts: within `tolerance_rad`, and within a third of the deviation from the target. A reading within
-    `tolerance_rad` of the target is no mistake.
+    two neighbouring digits of the degrees or minutes swapped. Each mistake but the last predicts a reading.
+    `read_rad` must agree with this prediction within `tolerance_rad` and within a third of the deviation from
+    the target. A reading within `tolerance_rad` of the target is no mistake.
     """
     difference = wrapped_rad(read_rad - target_rad)
     if abs(difference) <= tolerance_rad:

@@ -23,10 +23,10 @@ _PLAUSIBLE_K: Final = 30.0
 
 @dataclass(frozen=True, slots=True)
 class ChamberLimits:
-    """The permitted set points of a chamber, °C, and the band around the set point.
+    """The permitted set points of a chamber, °C, and the permitted deviation of the air from the set point.
 
-    At a reading the air may differ from the set point by `band_c`, K; with None, any plausible temperature is
-    accepted. Raises `ValueError` for inconsistent values.
+    The air may deviate by `band_c`, K; if that is None, every plausible temperature is permitted. Raises
+    `ValueError` unless `minimum_c` is below `maximum_c` and `band_c` is positive.
     """
 
     minimum_c: float
@@ -63,10 +63,10 @@ class ChamberLimits:
         )
 
     def in_band(self, name: str, temperature_c: float, target_c: float | None) -> float:
-        """Return the air's temperature; raise `InstrumentRefused` if it is outside the band.
+        """Return the air's temperature; raise `InstrumentRefused` if it is over `band_c` from the set point.
 
-        `target_c` is the set point; with None, there is no band. Raises `BadReading` for an implausible
-        temperature.
+        If the set point `target_c` or `band_c` is None, only plausibility is checked. Raises `BadReading` for
+        an implausible temperature.
         """
         self.plausible(name, temperature_c)
         if target_c is None or self.band_c is None or abs(temperature_c - target_c) <= self.band_c:
@@ -94,8 +94,8 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
 class ControlledChamber(ProvedInstrument):
     """The base class of chambers with a controller: a `ThermalChamber` that reads the temperature of the air.
 
-    A subclass verifies its controller, sets, reads, starts and stops it. `identity` is the pattern of the
-    controller's name. `write_gap_s` is the pause that the controller needs after a command without reply, s.
+    A subclass verifies, sets, reads, starts and stops its controller. `identity` is the pattern of the
+    controller's name. The controller needs a pause of `write_gap_s`, s, after a command without reply.
     """
 
     asks_person = False
@@ -120,7 +120,8 @@ class ControlledChamber(ProvedInstrument):
     def make_safe(self) -> str:
         """Stop conditioning, as at the end of a run; return "", because nothing is left for a person to do.
 
-        Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused`, `InstrumentLost`, `BadReading`; `LimitExceeded` for a safe set point out
+        of limits.
         """
         self._target_c = None
         self._stop()
@@ -130,9 +131,9 @@ class ControlledChamber(ProvedInstrument):
     def set_temperature(self, target_c: float, key: str) -> None:
         """Send the set point, read it back, and start conditioning.
 
-        Raises `LimitExceeded` for a set point outside the bench file's limits (before anything is sent) or the
-        controller's (before anything is set); `InstrumentRefused` if the chamber is not ready or the set point is
-        not applied; `InstrumentLost`, `BadReading`.
+        Raises `LimitExceeded` for a set point outside the bench file's limits, before anything is sent, or
+        outside the controller's limits, before anything is set. Raises `InstrumentRefused` if the chamber is
+        not ready or the set point is not applied; `InstrumentLost`, `BadReading`.
         """
         self._limits.check(self.name, target_c)
         self._refuse_unready(target_c)

@@ -41,7 +41,7 @@ def utc_now() -> datetime:
 
 
 class Haste:
-    """A shared flag, `asked`, that shortens the wait for replies; commands are still sent."""
+    """A flag, `asked`, that sessions share: while it is true, a wait for a reply lasts at most `HASTY_S`."""
 
     def __init__(self) -> None:
         self.asked = False

@@ -27,8 +27,8 @@ def message(text: str, context: str = "") -> str:
 class BenchError(Exception):
     """A failure that a person can remedy.
 
-    `instrument` is the instrument's name on the bench ("voltmeter.x"), `cause` what happened, `remedy` what
-    to do. The message combines all three in one sentence.
+    `instrument` is the instrument's name on the bench ("voltmeter.x"). `cause` says what happened, `remedy`
+    what to do. The message combines all three in one sentence.
     """
 
     def __init__(self, instrument: str, cause: str, remedy: str) -> None:
@@ -51,7 +51,7 @@ class BadReading(BenchError):
 
 
 class LimitExceeded(BenchError):
-    """A requested value outside the limits of the instrument or of the unit under test."""
+    """A value, requested or read, outside the limits of an instrument, the stand or the unit under test."""
 
 
 class WentAstray(BenchError):
@@ -102,18 +102,18 @@ class Identity:
 
 
 class Instrument(Protocol):
-    """An instrument on the bench: it is opened, identified, and left safe when closed."""
+    """An instrument on the bench: `open` connects and identifies it, `close` leaves it safe."""
 
     name: str
 
     def open(self) -> Identity:
-        """Connect, verify the identity and return it. Raises `InstrumentLost` or `InstrumentRefused`."""
+        """Verify and return the identity. Raises `InstrumentLost`, `InstrumentRefused`, `BadReading`."""
 
     def close(self) -> str | None:
         """Make the instrument safe, return it to local control and disconnect. Never raises, may be called twice.
 
-        Each command is tried even if earlier ones failed (`drivers.making_safe`).
-        Returns what a person must still do if a command failed; else None or an empty string.
+        Each command is sent even if earlier commands failed (`drivers.making_safe`). Returns what a person
+        must still do if a command failed; else None or an empty string.
         """
 
 
@@ -187,7 +187,7 @@ class Voltmeter(Instrument, Protocol):
     """The signals that this instrument measures, in the order in which it scans them."""
 
     def configure(self, settings: VoltmeterSettings) -> None:
-        """Apply the settings and verify them by reading back. Raises `InstrumentRefused`, `InstrumentLost`."""
+        """Apply and verify the settings. Raises `LimitExceeded`, `InstrumentRefused`, `InstrumentLost`."""
 
     def start(self) -> None:
         """Start one reading with the configured number of samples; return without waiting for it."""
@@ -195,13 +195,13 @@ class Voltmeter(Instrument, Protocol):
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         """Wait for the reading and return the samples in volts, `{"x": (1.2, 1.2)}`.
 
-        Raises `BadReading` for an overload or a reply that is not a number, and `InstrumentLost`.
+        Raises `BadReading` for an overload or malformed reply, `InstrumentLost`, `InstrumentRefused`.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class HeadPosition:
-    """The angle read from the head's own scale, and the direction in which it was approached."""
+    """The angle read from the head's scale or encoder, rad, and the direction in which it was approached."""
 
     angle_rad: float
     direction: Direction
@@ -214,7 +214,7 @@ class DividingHead(Instrument, Protocol):
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Turn to `target_rad`, arriving with rising (+1) or falling (-1) angle; return the angle read back.
 
-        `key` names the calling step. Raises `LimitExceeded`, `InstrumentLost`, `NoAnswer`.
+        `key` names the step of the procedure. Raises a `BenchError` if the head does not arrive.
         """
 
 
@@ -226,7 +226,7 @@ class ThermalChamber(Instrument, Protocol):
     """Whether a person must read the temperature; `temperature` is then called once per mounting only."""
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Set the temperature, °C. Raises `LimitExceeded` before anything is sent, and `InstrumentLost`."""
+        """Set the temperature, °C. Raises `LimitExceeded` before anything is sent; other `BenchError`s."""
 
     def make_safe(self) -> str:
         """Put the chamber into its safe state; return what a person must still do, an empty string for nothing.
@@ -290,7 +290,7 @@ class Level(Instrument, Protocol):
 
 @runtime_checkable
 class Thermometer(Instrument, Protocol):
-    """A separate thermometer at the block, not the sensor of the chamber's controller."""
+    """A separate thermometer at the block, at the voltmeters or in the room, not a chamber's sensor."""
 
     asks_person: bool
     """Whether a person must read the thermometer; it is then read once per mounting only."""
@@ -299,7 +299,7 @@ class Thermometer(Instrument, Protocol):
     """The sensor and its place, as recorded: "Pt100, four wires, channel 104"."""
 
     def block_c(self, key: str) -> float:
-        """Return the temperature of the block, °C; `key` names the calling step.
+        """Return the temperature at the thermometer's place, °C; `key` names the step of the procedure.
 
         Raises `BadReading` for an open sensor or an implausible temperature, `InstrumentRefused`,
         `InstrumentLost`, `NoAnswer`.
@@ -349,7 +349,7 @@ class OutputState:
 
 @dataclass(frozen=True, slots=True)
 class OutputLimits:
-    """The limits of an output: its lowest and highest voltage (V) and current limit (A), and their steps.
+    """The lowest and highest voltage (V) and current limit (A) of an output, and the steps of these settings.
 
     `over_voltage_v` is the lowest and highest setting of the over-voltage protection, None if there is none.
     """
@@ -467,7 +467,8 @@ class PowerSupply(Instrument, Protocol):
     def state(self, key: str) -> dict[str, OutputState]:
         """Return the state of every output as reported by the supply; nothing is changed.
 
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused` (for errors reported), `NoAnswer`.
+        Raises `InstrumentRefused` for errors that the supply reports, `InstrumentLost`, `BadReading`,
+        `NoAnswer`.
         """
 
     def set_up(self, settings: Mapping[str, OutputSettings], key: str) -> None:
@@ -481,8 +482,8 @@ class PowerSupply(Instrument, Protocol):
     def switch(self, output: str, on: bool, key: str) -> None:
         """Switch an output (all outputs, if they share one switch) on or off and read its state back.
 
-        Raises `InstrumentRefused` if the output was not set up, did not switch or has tripped;
-        `InstrumentLost`, `BadReading`, `NoAnswer`.
+        Raises `InstrumentRefused` if an output that was not set up is to be switched on, or if the output did
+        not switch or has tripped; `InstrumentLost`, `BadReading`, `NoAnswer`.
         """
 
     def switch_all_off(self) -> str:

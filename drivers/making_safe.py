@@ -52,7 +52,7 @@ class Attempts:
         """Raise one error of the instrument `name` if an attempt failed; `what` says what failed.
 
         The error also states all causes and the `remedy`. It is `InstrumentLost` if every attempt failed with
-        `InstrumentLost`, else `InstrumentRefused`.
+        `InstrumentLost`, else `InstrumentRefused`. An interruption is raised instead, as by `end`.
         """
         self.end()
         if self._failures:

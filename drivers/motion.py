@@ -38,8 +38,8 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name` from `start_rad`, begun at the clock time `begun_s`.
 
-    Once the head has come within half the back-off of its target, it may overshoot by as much, or stop there:
-    `Mover` decides whether it has settled.
+    Once the head was within half the back-off of its target, it may be that far away on either side, or stop
+    there. `Mover` then decides whether it has settled.
     """
 
     name: str
@@ -128,10 +128,10 @@ class Axis(Protocol):
 class Travel:
     """The limits of a head's moves and the criterion of arrival.
 
-    The head stays within [`minimum_rad`, `maximum_rad`] at all times. Its final approach covers at least
-    `backoff_rad` in the requested direction. It has arrived when it was within `tolerance_rad` of the target for
-    `settle_s`, read every `poll_s`. A move may take twice its time at `speed_rad_s`, plus `settle_s` and 10 s.
-    Raises `ValueError` for inconsistent values.
+    The head stays within [`minimum_rad`, `maximum_rad`]. Its final approach covers at least `backoff_rad` in
+    the requested direction. Its angle is read every `poll_s`, s. The head has arrived if it is at rest within
+    `tolerance_rad` of the target for `settle_s`, s. A move may take twice as long as at constant
+    `speed_rad_s`, plus `settle_s` and 10 s. Raises `ValueError` for inconsistent values.
     """
 
     minimum_rad: float
@@ -295,8 +295,8 @@ class Mover:
 class MotorisedHead(ProvedInstrument, Axis):
     """The base class of heads with a controller: a `DividingHead` whose subclass implements the `Axis`.
 
-    A subclass also verifies its controller (`_prove`). `write_gap_s` is the pause that the controller needs after a
-    command without reply, s.
+    A subclass also verifies its controller (`_prove`). The controller needs a pause of `write_gap_s`, s,
+    after a command without reply.
     """
 
     def __init__(
@@ -325,8 +325,9 @@ class MotorisedHead(ProvedInstrument, Axis):
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Turn to `target_rad` in the requested direction; return the angle read back.
 
-        Raises `LimitExceeded` before anything is sent; `WentAstray` if the head leaves its limits or moves away
-        from its target; `InstrumentRefused` if it stalls, does not arrive, or the controller reports an error;
+        Raises `LimitExceeded`, before anything is sent, for a target or approach outside the limits; also if
+        the head stands outside them. Raises `WentAstray` if the head leaves its limits or moves away from its
+        target; `InstrumentRefused` if it stalls, does not arrive, or the controller reports an error;
         `InstrumentLost`, `BadReading`. An error during the motion stops the motion.
         """
         return self._mover.move(target_rad, direction)

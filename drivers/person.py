@@ -57,7 +57,7 @@ class SetChamber(TypedDict):
 
 
 class SwitchInputs(TypedDict):
-    """Switch the inputs of all voltmeters to `source`; `reference_v` is the voltage of a reference."""
+    """Switch the inputs of all voltmeters to `source`; for a reference, `reference_v` is its voltage, V."""
 
     do: Literal["select_input"]
     source: Literal["signal", "short", "reference"]
@@ -105,8 +105,8 @@ class PlaceLevel(TypedDict):
 class ReadLevel(TypedDict):
     """Put a level on the platform, along the shaft or across it, and read its bubble.
 
-    One division is `division_rad`; the scale ends at ± `most_divisions`. If `turned`, the level is put there turned
-    by half a turn.
+    If `turned`, put it there rotated by half a turn. One division is `division_rad`; the scale ends at ±
+    `most_divisions`.
     """
 
     do: Literal["read_level"]
@@ -125,11 +125,10 @@ class LevelPlatform(TypedDict):
 
 
 class Say(TypedDict):
-    """A task without any setting: read a thermometer or the head's scale, answer, wait, see that a path is clear.
+    """A task that changes no setting: read a thermometer or the head's scale, answer, wait, keep clear.
 
-    "confirm_reading": say whether an unexpected reading is right.
-
-    `of` is "meter" or "room" for a thermometer that is neither at the block nor the chamber's.
+    "confirm_reading" asks whether an unexpected reading is right. `of` is the place of a thermometer, "meter"
+    or "room"; without it, the thermometer is at the block or the chamber's.
     """
 
     do: Literal["read_temperature", "read_head", "confirm_reading", "answer", "ask", "wait", "stand_clear"]
@@ -206,8 +205,8 @@ class WatchingPerson(Protocol):
 class AnsweredByInstrument(Exception):
     """Raised by `meanwhile` when an instrument answers in the person's place; `ask` passes it on.
 
-    `by` names the instrument ("encoder"), `text` is the answer. If the answer does not count, `problem` says why in
-    a sentence, and the question is asked again.
+    `by` names the instrument ("encoder"), `text` is the answer. If `problem` is not empty, it says why the
+    answer is rejected, and the question is asked again.
     """
 
     def __init__(self, by: str, text: str, problem: str = "") -> None:
@@ -228,8 +227,8 @@ class _HasInterval(Protocol):
 def watching(person: Person, look: Callable[[], None], every_s: float, clock: Clock) -> Iterator[None]:
     """Within the context, have `person` call `look` repeatedly while a question waits for its answer.
 
-    The calls come every `every_s`, s, if the person's interval can be set (`slice_s`). The person's own `meanwhile`
-    is still called, too. A person who is not a `WatchingPerson` never calls `look`.
+    If the interval between calls can be set (`slice_s`), it is `every_s`, s; else it is the person's own. The
+    person's own `meanwhile` is still called, too. A person who is not a `WatchingPerson` never calls `look`.
     """
     if not isinstance(person, WatchingPerson):
         yield
@@ -277,10 +276,10 @@ def ask_until(
 ) -> _Read:
     """Ask a question until `read` accepts the answer; return the value from `read`.
 
-    `read` takes the answer's text; to reject it, it raises `ValueError` with a sentence that says what is wrong.
-    The question is then repeated, or `again` in its place, preceded by this sentence. Each attempt adds its number
-    to the `id` of the prompt. Raises `ValueError` with the last sentence after `attempts` rejected answers, and
-    `NoAnswer` if nobody can answer.
+    `read` takes the answer's text; to reject it, it raises `ValueError` with a sentence that says what is
+    wrong. The next prompt is this sentence followed by the question, or by `again` if given. Each attempt
+    adds its number to the `id` of the prompt. Raises `ValueError` with the last sentence after `attempts`
+    rejected answers, and `NoAnswer` if nobody can answer.
     """
     trouble = ""
     for attempt in range(1, attempts + 1):

@@ -1,4 +1,4 @@
-"""Base class of heads that a person turns and an encoder reads: it follows the approach and reads the angle."""
+"""Base class of heads that a person turns; an encoder follows the approach and measures the angle."""
 
 from __future__ import annotations
 
@@ -51,10 +51,10 @@ _NO: Final = frozenset({"n", "no"})
 class Approach:
     """The rules by which a head arrives at an angle.
 
-    The head must come from at least `backoff_rad` away, and stop within `tolerance_rad` of the target. It is at
-    rest when its angle changed by no more than `rest_rad`, peak to peak, for `settle_s`. A change faster than
-    `speed_rad_s` is an error of the encoder. With `hands_free` nobody confirms the arrival; with `typed` a person
-    also types the angle.
+    The head must come from at least `backoff_rad` away, and stop within `tolerance_rad` of the target. It is
+    at rest if its angle varies by at most `rest_rad`, peak to peak, during `settle_s`, s. A change faster
+    than `speed_rad_s` is an error of the encoder. If `hands_free`, nobody confirms the arrival; if `typed`, a
+    person also types the angle.
     """
 
     tolerance_rad: float
@@ -84,7 +84,7 @@ class ScaleOfEncoder:
 class Track:
     """The recent angles of an encoder on the way to a target.
 
-    Offsets from the target, rad, are negative before the target and positive beyond it, as seen in the direction of
+    An offset from the target, rad, is negative before the target and positive beyond it, in the direction of
     approach.
     """
 
@@ -100,10 +100,10 @@ class Track:
         self._backed_off = False
 
     def take(self, time_s: float, angle_rad: float) -> float | None:
-        """Add an angle read at a time and return None, unless the angle jumped.
+        """Add an angle that was read at a time, s; return None, or the change of an angle that jumped, rad.
 
-        A jump is faster than a hand can turn the head: then return by how much the angle jumped, rad, and do not
-        add it.
+        A jump is a change faster than a hand can turn the head (`Approach.speed_rad_s`); such an angle is not
+        added.
         """
         offset_rad = self._direction * wrapped_rad(angle_rad - self._target_rad)
         approach = self._approach
@@ -174,8 +174,8 @@ class Track:
 class ReadOutHead(ProvedInstrument):
     """The base class of each `DividingHead` that a person turns and a counter reads.
 
-    A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports that its
-    reference mark was crossed. If it does not, the person is asked once for each connection.
+    A subclass verifies its counter and reads its value. `tells_reference` says whether the counter reports
+    that the encoder's reference mark was crossed. If not, the person is asked once for each connection.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""Base class of the SCPI voltmeters: identify, configure and verify, start, fetch strictly parsed readings.
+"""Base class of the SCPI voltmeters, which identifies, configures, starts and reads a meter.
 
-A model's driver states the accepted identities, the settings, and the replies that confirm them. It also overrides
-the commands for triggering, readings, errors and remote control that differ from a 34401A's. This module handles
-communication, lost connections and power cuts for all models.
+A model's driver states the accepted identities, the settings, and the replies that confirm them. It also
+overrides the commands for triggering, readings, errors and remote control that differ from a 34401A's. This
+module handles communication, lost connections and power cuts for all models.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ _PATIENCE: Final = 1.5
 class ProvenSetting:
     """A setting: the command that makes it, the query that verifies it, and the expected reply.
 
-    `command` is None if an earlier command makes the setting, too. A tuple in `wanted` holds one value per channel;
-    the reply separates them by commas.
+    `command` is None if an earlier command makes this setting, too. If `wanted` is a tuple, it holds one
+    value per channel, and commas separate the values in the reply.
     """
 
     command: str | None
@@ -62,10 +62,10 @@ class ProvenSetting:
 class ScpiVoltmeter(ABC):
     """The base class of the SCPI voltmeters: a `Voltmeter` that lacks only the model's own commands.
 
-    `channels` are the signals in scan order, or the only signal. `interface` is the one selected at the meter, even
-    if an adapter is between; over RS-232 the driver first sets the meter to remote. `clock` measures how long an
-    RS-232 meter was idle: after some ten minutes it may have returned to local. `line_hz` is the mains frequency,
-    which determines how long a reading takes.
+    `channels` are the signals in scan order, or the only signal. `interface` is the interface selected at the
+    meter, even if an adapter is between; over RS-232 the driver first sets the meter to remote. `clock`
+    measures how long an RS-232 meter was idle: after some ten minutes it may have returned to local.
+    `line_hz` is the mains frequency, Hz, which determines how long a reading takes.
     """
 
     # Overridden by each model; the defaults are those of a 34401A.
@@ -279,7 +279,7 @@ class ScpiVoltmeter(ABC):
             self._fetch(self._settings)
 
     def close(self) -> str:
-        """Return the meter to local and disconnect; return what a person must still do. Never raises."""
+        """Disconnect, over RS-232 after a return to local; return what a person must still do. Never raises."""
         attempts = Attempts()
         if self._interface == "rs232" and self.local_command and self._session.connection is not None:
             attempts.make(STAYS_REMOTE, partial(self._session.write, self.local_command))

@@ -96,8 +96,9 @@ class WiredSupply(ProvedInstrument):
     def switch(self, output: str, on: bool, key: str) -> None:
         """Switch an output (all outputs, if they share one switch) and read the states back.
 
-        Raises `InstrumentRefused` if the output was not set up, lost its settings, did not switch or has
-        tripped, or if an output with another switch changed, too; `InstrumentLost`, `BadReading`.
+        Raises `InstrumentRefused` if an output to be switched on was not set up or lost its settings, if the
+        output did not switch or has tripped, or if an output with another switch changed, too;
+        `InstrumentLost`, `BadReading`.
         """
         before = self._states()
         if on:

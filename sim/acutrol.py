@@ -37,8 +37,8 @@ class _Refused(Exception):
 class AcutrolTable(PlainDialect):
     """One axis of a rate table, whose modes can be entered only while its interlock is closed.
 
-    `speed_deg_s` is the speed of moves in the position mode. The table follows a demand for the present mode at
-    once, and a demand for another mode as soon as that mode is entered.
+    `speed_deg_s` is the speed of moves in the position mode. A demand for the present mode takes effect at
+    once, a demand for another mode as soon as that mode is entered.
     """
 
     def __init__(self, world: World, *, speed_deg_s: float = 10.0, axis: int = 1) -> None:
@@ -52,7 +52,7 @@ class AcutrolTable(PlainDialect):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Answer one line; commands joined by `;` get one answer, that of the last or the first refused."""
+        """Answer one line; of commands joined by `;` only the last is answered, or the first refused (ERR)."""
         answer = ""
         for part in message.decode("ascii", "replace").split(";"):
             try:

@@ -90,10 +90,11 @@ def _default_settings(function: Function) -> FunctionSettings:
 
 
 class Configuration:
-    """The measurement settings of the meter; it calls `on_change` after a command has changed one.
+    """The measurement settings of the meter.
 
-    A number between two accepted values is replaced by the one that still meets the request: the higher range or
-    integration time, the lower detector bandwidth, the finer resolution.
+    A command that changes a setting, except the input impedance, calls `on_change`. A number between two
+    accepted values is replaced by the one that still meets the request: the higher range or integration time,
+    the lower detector bandwidth, the finer resolution.
     """
 
     def __init__(self, on_change: Callable[[], None]) -> None:
@@ -286,11 +287,11 @@ class Trigger(MeasuringCycle):
         self._begin(keeps=True)
 
     def read(self) -> str | None:
-        """READ?: measure and return the readings; only with `keeps_latest` are they also stored.
+        """READ?: measure and return the readings, which are stored only if `keeps_latest`.
 
-        With an external trigger there is no reply: the meter waits until a device clear. Raises `ScpiError` -213 if
-        a measurement is in progress or waits for a trigger, -214 for the trigger source BUS, 522 for more than
-        `most_readings` readings, which is a limit of this simulation.
+        With an external trigger there is no reply (None): the meter waits until a device clear. Raises
+        `ScpiError` -213 if a measurement is in progress or waits for a trigger, -214 for the trigger source
+        BUS, 522 for more than `most_readings` readings, which is a limit of this simulation.
         """
         self._require_idle()
         if self.source == "BUS":
@@ -326,7 +327,7 @@ class Trigger(MeasuringCycle):
         return reading_text(value, self._converter.step(self._configuration))
 
     def commands(self) -> list[Command]:
-        """Return the commands and queries for triggering, memory and average."""
+        """Return the commands and queries for triggering and memory."""
         word = (Number(optional=True),)
         return [
             Command("INITiate[:IMMediate]", self.initiate),

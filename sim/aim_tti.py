@@ -1,9 +1,9 @@
 """A simulated Aim-TTi PL-P or CPX supply, whose outputs feed the block of the world. Its dialect is not SCPI.
 
-The commands of a message are separated by semicolons; each reply is a line of its own. A refused command shows
-only in the registers *ESR? and EER?. The simulation covers setting, protecting against over-voltage, switching and
-monitoring the outputs.
-Sources: as in the facts; PL & PL-P Series Instruction Manual, "Remote commands".
+The commands of a message are separated by semicolons; each reply is a line of its own. A refused command
+shows only in the registers *ESR? and EER?. The simulation covers setting, protecting against over-voltage,
+switching and monitoring the outputs.
+Sources: as in `drivers.facts.aim_tti`; PL & PL-P Series Instruction Manual, "Remote commands".
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class _Command:
 
 
 class AimTti(PlainDialect):
-    """An Aim-TTi supply; `model` is a key of `OUTPUTS` in its facts. Messages end in LF, replies in CR LF."""
+    """A supply of a `model` in `drivers.facts.aim_tti.OUTPUTS`; LF ends its messages, CR LF its replies."""
 
     line_ends = LineEnds((b"\n",), reply=b"\r\n")
 

@@ -80,14 +80,16 @@ class Elsewhere:
 class SimulatedBench:
     """A context manager that serves the instruments of a world.
 
-    `instruments` maps each name on the bench to a meter or to another dialect on the world; a dialect may state its
-    `model`. Each instrument gets a TCP port on `host`: any free port, or consecutive ports from `first_port`. It
-    also gets a pseudo-terminal if `with_terminals` is True or contains its name. `buses` puts instruments on the
-    GPIB bus of an adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the adapter's port. `adapter_options`
-    are options of each `GpibAdapter`. Each of the `faults` is armed as by `arm`.
-    By name, `resources` holds VISA resources, `dialects` the instruments, `faulty` the instruments with faults,
-    `wired` the instruments as their wires share them, `servers` and `terminals` the wires. Within the context, a
-    virtual clock of the world advances only after all commands on the wires have been carried out.
+    `instruments` maps each name on the bench to a meter or to another dialect on the world; a dialect may
+    state its `model`. Each instrument gets a TCP port on `host`: any free port, or consecutive ports from
+    `first_port`. It also gets a pseudo-terminal if `with_terminals` is True or contains its name. `buses`
+    puts instruments on the GPIB bus of an adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the
+    adapter's port. `adapter_options` are options of each `GpibAdapter`. Each of the `faults` is armed as by
+    `arm`.
+    By name, `resources` holds VISA resources, `dialects` the instruments and `faulty` their
+    `FaultyInstrument`s. `wired`, `servers` and `terminals` hold the `ServedInstrument`s, TCP ports and
+    pseudo-terminals, on a bus those of the adapter. Within the context, a virtual clock of the world advances
+    only after all commands on the wires have been carried out.
     """
 
     def __init__(
@@ -197,7 +199,7 @@ class SimulatedBench:
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """A context in which reading instruments leaves the world unchanged; see `World.aside`."""
+        """Within this context, reading instruments leaves the world unchanged; see `World.aside`."""
         with self.world.aside():
             yield
             self.traffic.settle()
@@ -270,7 +272,7 @@ def _as_it_is(instrument: ScpiInstrument, clock: Clock) -> ScpiInstrument:
 
 @contextmanager
 def taken_port(name: str, server: TcpServer) -> Iterator[None]:
-    """Convert the `OSError` or `OverflowError` of a port that cannot be opened into a `BenchError`."""
+    """Within this context, raise `BenchError` for the `OSError` or `OverflowError` of opening a port."""
     try:
         yield
     except OverflowError as error:

@@ -156,7 +156,7 @@ class Thermotron8800(PlainDialect):
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         """Answer a query or carry out a setting; an unknown message has no reply.
 
-        After a setting, every message within `BUSY_S` is ignored.
+        For `BUSY_S`, s, after a setting or an unknown message, every message is ignored.
         """
         now_s = self._world.clock.now_s()
         if now_s - self._wrote_s < BUSY_S:

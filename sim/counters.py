@@ -1,7 +1,7 @@
 """Simulated counters of an encoder on the head, and a simulated thermometer that sends lines of text.
 
 The counters are a Heidenhain ND 281B or ND 287, one with the MUX-10 format, and one that sends lines of text.
-Sources: see their facts. The encoder has neither errors nor noise: it shows the angles of the head's scale.
+Sources: see `drivers.facts`. The encoder has no errors and no noise: it shows the angles of the head's scale.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """A simulated Keithley 2000 on one channel of the world: DC volts, the buffer, triggering.
 
-Other functions answer -113; filter and relative can be set but have no effect. The meter accepts commands while it
-measures: only *WAI and *OPC? wait. Sources: see its facts. The format of numbers other than readings is an
-assumption, not from the manual.
+Other functions cause the error -113; filter and relative can be set but have no effect. The meter accepts
+commands while it measures: only *WAI and *OPC? wait. Sources: see `drivers.facts.keithley_2000`. The format
+of numbers other than readings is an assumption, not from the manual.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ _WAITING: Final = ("*WAI", "*OPC?")
 
 @dataclass
 class Measuring:
-    """The settings for a sample (a `Measurement`); the defaults are those of *RST."""
+    """The settings of the meter, as a `sim.voltmeters.Measurement`; the defaults are those of *RST."""
 
     nplc: float = 1.0
     autozero: bool = True
@@ -67,7 +67,7 @@ class Measuring:
 
 
 class Buffer(MeasuringCycle):
-    """The trigger system and the buffer, which stores the readings after FEED:CONTrol NEXT."""
+    """The trigger system and the buffer, which FEED:CONTrol NEXT lets store readings until it is full."""
 
     memory_depth = facts.MEMORY_READINGS
 
@@ -89,7 +89,7 @@ class Buffer(MeasuringCycle):
         self.sample_count = 1
 
     def initiate(self) -> None:
-        """INITiate. Raises `ScpiError` -213 during a measurement and in continuous mode."""
+        """INITiate: start a measurement. Raises `ScpiError` -213 if not idle, or in continuous mode."""
         if self.continuous:
             raise ScpiError(-213)
         self._require_idle()
@@ -171,7 +171,7 @@ class Keithley2000(ScpiInstrument):
 
     @property
     def overloaded(self) -> bool:
-        """Whether the input is overloaded, whatever the voltage at the terminals."""
+        """Whether every sample is an overload, whatever the voltage at the terminals; can be set."""
         return self._converter.overloaded
 
     @overloaded.setter

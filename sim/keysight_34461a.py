@@ -30,9 +30,9 @@ class TruevoltTrigger(Trigger):
 class Keysight34461A(Agilent34401A):
     """A 34461A with the options of an `Agilent34401A`.
 
-    SYSTem:IDENtify HP34401A switches to the identity of the older model. The commands for autozero and input
-    impedance belong to a function; those of the 34401A are accepted too. Raises `ValueError` for RS-232, because
-    the 34461A has a LAN interface in its place.
+    SYSTem:IDENtify HP34401A switches to the identity of the older model. The headers for autozero and input
+    impedance begin with [SENSe:]VOLTage[:DC]; those of the 34401A are accepted too. Raises `ValueError` for
+    RS-232, because the 34461A has a LAN interface in its place.
     """
 
     model = MODEL

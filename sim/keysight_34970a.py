@@ -60,9 +60,9 @@ _ERRORS: Final = {
 class Keysight34970A(LineMeter):
     """A 34970A or 34972A. `wiring` maps channels to signals, `{101: world.terminals("x"), …}`.
 
-    `cards` maps each occupied slot (100, 200, 300) to its card. `interface`, `noise` and `accuracy` are those of an
-    `Agilent34401A`. The meter has one converter, so all channels share its gain error and offset. Raises
-    `ValueError` for a channel that is not on the cards.
+    `cards` maps each occupied slot (100, 200, 300) to its card. `interface`, `noise` and `accuracy` are as
+    for an `Agilent34401A`. The meter has one converter, so all channels share its gain error and offset.
+    Raises `ValueError` for a channel that is not on the cards.
     """
 
     beside_measuring = ("INITiate",)
@@ -213,10 +213,7 @@ class Keysight34970A(LineMeter):
         return Command(f"{notation}?", query, (ChannelList(optional=True),))
 
     def _of(self, text: str) -> tuple[int, ...]:
-        """Return the channels of a list, or those of the scan list if `text` is empty.
-
-        Raises `ScpiError` 305 if there are none.
-        """
+        """Return the channels of a list, or the scan list if `text` is empty; `ScpiError` 305 for none."""
         channels = listed(text, self.cards) if text else self.scan.channel_list
         if not channels:
             raise ScpiError(305)
@@ -285,7 +282,7 @@ _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A temperature sensor on the block, of a type in `SENSORS`; to a meter set to volts it is a short.
+    """A temperature sensor on the block, of a type in `SENSORS`; a meter set to volts reads 0 V at it.
 
     It shows the block's temperature plus three terms, °C: the fraction `air_share` of the difference between
     chamber air and block, the constant error `error_c`, and noise of the standard deviation `noise_c`.
@@ -316,7 +313,7 @@ class Probe:
         return 0.0
 
     def new_reading(self) -> None:
-        """Begin a new reading, when the meter is triggered."""
+        """Begin a new reading; called when the meter is triggered."""
         self._reading = self._world.count("thermometer")
 
     def random(self, purpose: str) -> np.random.Generator:

@@ -133,7 +133,7 @@ def _exists(channel: int, cards: Mapping[int, str]) -> bool:
 
 
 class ChannelConfiguration:
-    """The settings of one channel (a `Measurement`); a channel with a `transducer` measures temperature."""
+    """The settings of one channel, as a `Measurement`; a channel with a `transducer` measures temperature."""
 
     bandwidth_hz = 20.0
 
@@ -196,7 +196,7 @@ class HasSensor(Protocol):
 
 
 class CardInput:
-    """One channel of the card (a `MeteredSignal`): the signal wired to it, measured by the shared converter.
+    """One channel of the card, as a `MeteredSignal`: the signal wired to it, measured by the shared converter.
 
     `common` represents the meter itself, whose gain error and offset are the same for all channels. Without a
     signal (`wired` None) the open input reads zero.
@@ -229,7 +229,7 @@ class CardInput:
         return self._wired.shown_c(configured, time_s) if isinstance(self._wired, HasSensor) else OVERLOAD_V
 
     def new_reading(self) -> None:
-        """Begin a new reading, when the channel is triggered."""
+        """Begin a new reading; called when the channel is triggered."""
         if self._wired is not None:
             self._wired.new_reading()
 
@@ -257,9 +257,9 @@ _EXTRAS: Final = ("UNIT", "TIME", "CHANnel", "ALARm")
 class Scan(MeasuringCycle):
     """The scan list, the trigger settings, the scan in progress, and the memory of the latest readings.
 
-    `channels` maps each channel to its settings and converter, `inputs` maps it to its signal. A scan that exceeds
-    the memory raises `ScpiError` 305 at its start. So does a scan without end (TRIGger:COUNt INFinity), because the
-    simulation has none.
+    `channels` maps each channel to its settings and converter, `inputs` maps it to its signal. A scan with
+    more readings than the memory holds raises `ScpiError` 305 at its start. So does a scan without end
+    (TRIGger:COUNt INFinity), which this simulation does not support.
     """
 
     memory_depth = MEMORY_READINGS
@@ -278,7 +278,7 @@ class Scan(MeasuringCycle):
         super().__init__(clock, interrupted)
 
     def preset(self) -> None:
-        """Set the defaults of *RST and CONFigure: one immediate sweep, readings without other fields."""
+        """Set the defaults of *RST and CONFigure: one immediate scan, readings without any extra field."""
         self.source = "IMM"
         self.count: float = 1
         self.extras = dict.fromkeys((word.upper()[:4] for word in _EXTRAS), False)

@@ -1,7 +1,7 @@
 """A simulated Keysight E36311A, E36312A or E36313A, whose outputs feed the block of the world.
 
-The simulation covers setting, protecting, switching and monitoring the outputs, but not lists, triggers or data
-logging. Source: E36300 Series Programming Guide, as in the facts.
+The simulation covers setting, protecting, switching and monitoring the outputs, but not lists, triggers or
+data logging. Source: E36300 Series Programming Guide, as in `drivers.facts.keysight_e36300`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class KeysightE36300(KeysightSupply):
-    """A supply of the series. Commands without a channel list apply to the first output, which stays selected."""
+    """A supply of the E36300 series; commands without a channel list apply to its first output."""
 
     def __init__(self, world: World, *, model: str = "E36312A") -> None:
         super().__init__(world, facts, model, numbered(facts.IDENTITY.format(model=model), 1))

@@ -29,7 +29,7 @@ _SET_AVERAGES: Final = re.compile(r"W N (\d{3})")
 
 
 class LeicaNivel(PlainDialect):
-    """A Nivel sensor with the address N`sensor`; its axes `along` and `across` are named as in a bench file."""
+    """A Nivel sensor with the address N`sensor`; `along` and `across` name its axes with sign, such as "+Y"."""
 
     model = "Nivel210"
 

@@ -1,8 +1,9 @@
 """A simulated rotary stage with a Newport ESP301 controller, on the head of the world.
 
-Its encoder counts from the angle at switch-on until the stage is homed. Source: the facts of its driver. Two
-points are assumptions of this simulation: a stuck axis ends in a following error with the motor off, and a target
-beyond the software limits is refused before the motion begins.
+Its encoder counts from the angle at switch-on until the stage is homed. Source:
+`drivers.facts.newport_esp301`. Two points are assumptions of this simulation: a stuck axis ends in a
+following error with the motor off, and a target beyond the software limits is refused before the motion
+begins.
 """
 
 from __future__ import annotations
@@ -38,9 +39,10 @@ class _Mistake(Exception):
 class Esp301(PlainDialect):
     """One axis of an ESP301 controller.
 
-    With `homed` False it has just been switched on: motor off, zero at the present angle. `speed_deg_s` is the
-    maximum speed; the speed at switch-on is a tenth of it. `lowest_deg` and `highest_deg` are the software
-    limits. `unit` is the code of its unit, `decimals` the number of decimals of angles in replies.
+    With `homed` False the controller was just switched on: motor off, zero at the present angle.
+    `speed_deg_s` is the maximum speed; the speed at switch-on is a tenth of it. `lowest_deg` and
+    `highest_deg` are the software limits. `unit` is the code of the axis unit; angles in replies have
+    `decimals` decimals.
     """
 
     line_ends = LineEnds((facts.WRITE_TERMINATION.encode(),), reply=facts.READ_TERMINATION.encode())

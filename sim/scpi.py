@@ -40,7 +40,7 @@ _LONGEST_MNEMONIC: Final = 12
 
 
 class DeviceClear(Exception):
-    """A device clear arrived while a command waited; the command in progress is given up."""
+    """A device clear arrived while a command waited; that command is aborted and has no reply."""
 
 
 def never() -> bool:
@@ -103,7 +103,7 @@ class ScpiInstrument:
         return ";".join(replies).encode("ascii") if replies else None
 
     def device_clear(self) -> None:
-        """Abort the command or measurement in progress; keep settings and errors."""
+        """Do nothing; a subclass aborts its measurement in progress and keeps settings and errors."""
 
     def input_overflow(self) -> None:
         """Report a message that exceeded the input buffer (-223)."""
@@ -118,13 +118,13 @@ class ScpiInstrument:
     # --- to be overridden by an instrument ----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Do nothing; a subclass waits or raises `ScpiError` here, before a command's parameters are parsed."""
+        """Do nothing; a subclass may wait or raise `ScpiError` here, before parameters are parsed."""
 
     def reset(self) -> None:
         """Carry out *RST; a subclass resets its settings."""
 
     def self_test(self) -> int:
-        """Carry out *TST? and return 0 (passed) or 1."""
+        """Carry out *TST? and return 0 (passed); a subclass may return 1."""
         return 0
 
     def number(self, value: float) -> str:
@@ -182,10 +182,7 @@ class ScpiInstrument:
         return path
 
     def _find(self, header: str) -> Command:
-        """Return the command for a header; raise `ScpiError` -113 if there is none.
-
-        Only successful look-ups are cached, so the cache stays small.
-        """
+        """Return the command for a header, and cache only it; raise `ScpiError` -113 if there is none."""
         if header not in self._found:
             for pattern, command in self._table:
                 if pattern.match(header):
@@ -229,9 +226,9 @@ _ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS",
 class RemoteInstrument(ScpiInstrument):
     """An instrument with local and remote mode; `interface` is the interface that it is set to.
 
-    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but identification,
-    errors, status and the SYSTem:REMote family. One set to "gpib" always refuses this family (+514). One set to
-    "lan" refuses nothing.
+    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but those for
+    identification, errors and status and the SYSTem:REMote family. An instrument set to "gpib" always refuses
+    this family (+514). An instrument set to "lan" refuses nothing.
     """
 
     def __init__(self, identity: str, errors: Mapping[int, str], interface: Interface) -> None:

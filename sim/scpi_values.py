@@ -150,7 +150,7 @@ def notation_pattern(notation: str) -> re.Pattern[str]:
 
 
 def split_outside_quotes(text: str, separator: str) -> list[str]:
-    """Split at a one-character separator outside strings of either quote kind and outside parentheses.
+    """Return the parts of a text between one-character separators outside quotes and parentheses.
 
     Raises `ScpiError` -151 for a string without its closing quote.
     """

@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 class Outputs:
-    """The outputs of a supply in a world, by name; `limits` are their limits from the supply's facts.
+    """The outputs of a supply in a world, by name; `limits` are their limits in `drivers.facts`.
 
-    `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains power
-    returns, and sets the supply's state. With `one_switch` a front-panel switch acts on all outputs.
+    `preset` returns the settings of an output after switch-on and *RST. `returned` is called when the mains
+    power returns, and sets the supply's state. With `one_switch` a front-panel switch acts on all outputs.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Outputs:
         )
 
     def change(self, name: str, **changes: object) -> None:
-        """Change the fields `changes` of an output's `OutputPhase`."""
+        """Set the fields of an output's `OutputPhase` that `changes` names, from now on."""
         self._world.power.change(name, self._now_s, **changes)
 
     def switch(self, name: str, on: bool) -> None:
@@ -86,7 +86,7 @@ class Outputs:
             self.change(name, tripped=None)
 
     def reset(self) -> None:
-        """Switch every output off and preset it."""
+        """Switch every output off, clear its trip, and give it the settings of `preset`."""
         for name in self.names:
             self.change(name, on=False, tripped=None, **self._preset(name))
 
@@ -107,7 +107,7 @@ WORDS: Final = (MIN, MAX, DEF)
 
 
 class KeysightSupply(RemoteInstrument):
-    """The base of the Keysight supplies: outputs of a world, one of them selected.
+    """The base of the Keysight supplies; its outputs are in the world, and one of them is selected.
 
     `facts` is the supply's module in `drivers.facts`.
     """
@@ -146,7 +146,7 @@ class KeysightSupply(RemoteInstrument):
         return super().handle(message, interrupted) if self._outputs.has_mains else None
 
     def reset(self) -> None:
-        """*RST: select the first output, switch all outputs off and preset them."""
+        """*RST: select the first output, switch all outputs off, and restore their default settings."""
         self._selected = self._outputs.names[0]
         self._outputs.reset()
 

@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 class Function:
     """A measuring function of a meter; its `ranges` ascend, in `unit`.
 
-    `name` stands for it in replies, `notation` in commands. `integration` maps each resolution (fraction of the
-    range) to the integration time in power-line cycles, or to the gate time in s. `keyword` is the SENSe node that
-    sets this time, or empty. `settings_of` names the function whose range and resolution this function uses, too. A
-    `fixed` function has no settings.
+    Replies call it `name`, commands `notation`. `integration` maps each resolution (fraction of the range) to
+    the integration time in power-line cycles, or to the gate time in s. `keyword` is the SENSe node that sets
+    this time, or empty. `settings_of` names the function whose range and resolution this function uses, too.
+    A `fixed` function has no settings.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Function:
 
 @dataclass
 class FunctionSettings:
-    """Range, autorange and resolution (fraction of the range) of one function."""
+    """Range (in the function's unit), autorange and resolution (fraction of the range) of one function."""
 
     range_value: float
     resolution: float
@@ -134,7 +134,7 @@ class MeteredSignal(Protocol):
         """Return the voltage at the terminals at `time_s` of the clock (default: now), V."""
 
     def new_reading(self) -> None:
-        """Begin a new reading, when the meter is triggered."""
+        """Begin a new reading; called when the meter is triggered."""
 
     def random(self, purpose: str) -> np.random.Generator:
         """Return the random generator for one purpose within the present reading."""
@@ -208,11 +208,11 @@ class Converter:
     """The converter from the voltage at the terminals to readings; `facts` has the ranges and error limits.
 
     With `noise`, each sample has white noise that depends on its integration time, and is rounded to the
-    resolution; without, samples are exact (a reply still has only 8 decimals).
-    With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature coefficients,
-    uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the errors instead; a range
-    that it lacks has none. None means no errors.
-    `flaws` are the fields of `InputFlaws`; None means an ideal input.
+    resolution. Without `noise`, samples are exact (a reply still has only 8 decimals).
+    With `accuracy` "90 days", each range gets random errors once: gain, offset and their temperature
+    coefficients, uniform within ± half the limit. A mapping {range: (gain error, offset in V)} states the
+    errors instead; a range that it lacks has none. None means no errors. `flaws` are the fields of
+    `InputFlaws`; None means an ideal input.
     The terminals carry only a DC voltage: AC functions, current, frequency and period read zero; resistance,
     continuity, diode and ratio give an overload. While `overloaded` is set, every sample is an overload.
     """
@@ -270,7 +270,7 @@ class Converter:
         self._generator = self._source.random("voltmeter noise") if self._noise else None
 
     def sample(self, configuration: Measurement, time_s: float) -> float:
-        """Return one sample of the selected function at `time_s`; ±`OVERLOAD_V` outside the range.
+        """Return one sample of the selected function at `time_s`, in its unit; ±`OVERLOAD_V` outside the range.
 
         As on the meter, autorange changes the range in the settings.
         """
@@ -318,7 +318,7 @@ class Converter:
         )
 
     def step(self, configuration: Measurement) -> float:
-        """Return the rounding step of samples, or 0 without rounding."""
+        """Return the rounding step of samples, in the function's unit, or 0 without rounding."""
         settings = configuration.settings
         return settings.range_value * settings.resolution if self._noise else 0.0
 
@@ -422,18 +422,18 @@ class LineMeter(RemoteInstrument):
     # --- called by the wire and the bench -----------------------------------------------------------
 
     def admit(self, command: Command) -> None:
-        """Refuse a command that the interface does not allow; otherwise wait for a measurement in progress."""
+        """Refuse what the interface forbids; all but `beside_measuring` wait while the meter measures."""
         super().admit(command)
         if command.notation not in self.beside_measuring:
             self.cycle.complete()
 
     def device_clear(self) -> None:
-        """Stop measuring and become idle; keep settings and errors."""
+        """Stop measuring, discard the readings and become idle; keep settings and errors."""
         self.cycle.abort()
 
     @property
     def overloaded(self) -> bool:
-        """Whether an input is overloaded, whatever the voltage there; setting it acts on all inputs."""
+        """Whether samples of any input are overloads, whatever the voltage; setting it acts on all inputs."""
         return any(converter.overloaded for converter in self.converters)
 
     @overloaded.setter
@@ -454,9 +454,9 @@ class MeasuringCycle(ABC):
     """The trigger system of a meter, which is idle, waits for a trigger, or measures.
 
     `source` is the trigger source. The memory keeps the latest `memory_depth` readings. `interrupted` returns
-    whether a device clear has arrived. If the client that started a measurement has disconnected, the measurement
-    is aborted as soon as another client would have to wait for it. Not so on a virtual clock, where a wait takes no
-    real time.
+    whether a device clear has arrived. If the client that started a measurement has disconnected, the
+    measurement is aborted as soon as another client would have to wait for it. On a virtual clock it is
+    completed instead, because the wait takes no real time.
     """
 
     memory_depth: int
@@ -487,7 +487,7 @@ class MeasuringCycle(ABC):
     def sent_by(self, left: Callable[[], bool]) -> None:
         """Store `left`, which returns whether the client of the following commands has disconnected.
 
-        Also abort a measurement in progress whose own client has disconnected.
+        Also abort a measurement in progress whose own client has disconnected, except on a virtual clock.
         """
         if self._client_has_left:
             self.abort()
@@ -500,7 +500,7 @@ class MeasuringCycle(ABC):
         return ",".join(self._memory) + self.after_last
 
     def complete(self) -> None:
-        """Wait until the measurement in progress, if any, ends or its client leaves.
+        """Wait until a measurement in progress ends; abort it if its client leaves meanwhile.
 
         Raises `DeviceClear` if a device clear arrives meanwhile.
         """

@@ -92,7 +92,7 @@ class ZaberStage(PlainDialect):
         return self._reply(axis, number, words).encode("ascii")
 
     def power_cycle(self) -> None:
-        """Switch off and on: the motion ends, the reference is lost; settings are kept."""
+        """Switch off and on: the motion ends and the reference is lost, but settings are kept."""
         self._world.stop_head()
         self._homing = False
         self._warnings = {"WR"}

@@ -1,8 +1,8 @@
 """Facts about Aim-TTi (Thurlby Thandar) supplies with the command dialect `V1 5.0;OP1 1;V1O?`.
 
 Sources: CPX400DP and PL & PL-P Series Instruction Manuals, "Remote commands", as quoted in three drivers:
-libsigrok (`src/hardware/aim-tti-dps`) for the CPX (ranges, steps, format of the replies, bits of LSR), PyMeasure
-(`aimttiPL.py`) and QCoDeS (`_AimTTi_PL_P.py`) for the PL-P. None of them has the
+libsigrok (`src/hardware/aim-tti-dps`) for the CPX (ranges, steps, format of the replies, bits of LSR),
+PyMeasure (`aimttiPL.py`) and QCoDeS (`_AimTTi_PL_P.py`) for the PL-P. None of the three covers the
 over-voltage protection of the PL-P. Not in these sources, so check on your instrument: the range of the CPX's
 protection, the error numbers of EER.
 """

@@ -77,9 +77,9 @@ CHANNEL_DELAY_S: Final = 0.1
 class Sensor:
     """A temperature sensor: `configured` is the argument of CONF:TEMP that selects it.
 
-    `proved` lists the queries that verify it, with their replies. The limits of error, °C, are `meter_c` for the
-    meter and `probe_c` for the sensor; that of the sensor grows by `probe_slope` per degree from 0 °C. The sense
-    wires of a four-wire sensor are `pair` channels higher; a two-wire sensor has `pair` 0.
+    `proved` lists queries with the replies that confirm this configuration. The limit of error, °C, is
+    `meter_c` for the meter. For the sensor it is `probe_c`, plus `probe_slope` per degree from 0 °C. A
+    four-wire sensor has its sense wires `pair` channels higher; for two wires `pair` is 0.
     """
 
     words: str

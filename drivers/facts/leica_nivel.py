@@ -1,9 +1,10 @@
 """Facts about the Leica Nivel210 (RS-232) and Nivel220 (RS-485) two-axis inclination sensors.
 
-Sources: NIVEL200 Technical Reference Manual 1.0 (748340), chapters 2 (blocks, check sum, worked examples), 3, 4 and
-6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). The public program
-DfAC/Nivel includes both manuals and a log of a real sensor; the public library applied-geodesy/nivel sends the same
-commands. `G P` reports a sensor out of range; the manuals do not state its values of X and Y.
+Sources: NIVEL200 Technical Reference Manual 1.0 (748340), chapters 2 (blocks, check sum, worked examples), 3,
+4 and 6, appendix A; NIVEL200 User Manual, chapters 4.2 (offset by half a turn) and 8 (technical data). The
+public program DfAC/Nivel includes both manuals and a log of a real sensor; the public library
+applied-geodesy/nivel sends the same commands. `G P` reports a sensor out of range; the manuals do not state
+which X and Y such a sensor sends.
 """
 
 from typing import Final

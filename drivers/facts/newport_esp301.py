@@ -1,11 +1,11 @@
 """Facts about the Newport ESP301 motion controller; an ESP300 uses the same commands.
 
 Sources: commands and error table from the public clients InstrumentKit (`newportesp301.py`) and pymeasure
-(`esp300.py`). Terminations (CR after a command, CR LF after a reply) and one reply line per command joined by `;`
-are from public programs for an ESP301 that quote its replies (`113, 314883, AXIS-1 MOTOR NOT ENABLED` to
-`TB?`). An ESP300 has been seen to reply `ESP300 Version 3.04 07/27/01` to `*IDN?`, over RS-232 only with RTS/CTS.
-From memory of the ESP301 User's Manual, so confirm on the first instrument: the motors are off after power-on, a
-unit is only a label, the error buffer holds ten messages.
+(`esp300.py`). Public programs for an ESP301, which quote its replies (`113, 314883, AXIS-1 MOTOR NOT ENABLED`
+to `TB?`), show the terminations (CR after a command, CR LF after a reply) and that commands joined by `;`
+have one reply line each. An ESP300 replied `ESP300 Version 3.04 07/27/01` to `*IDN?`, over RS-232 only with
+RTS/CTS. From memory of the ESP301 User's Manual, so confirm on the first instrument: the motors are off after
+power-on, a unit is only a label, the error buffer holds ten messages.
 """
 
 from typing import Final

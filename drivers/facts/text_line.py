@@ -1,6 +1,6 @@
-"""Facts about instruments that answer a request with one line of text; the bench file states the other facts.
+"""Facts about instruments that answer a request with one line of text; the bench file states all else.
 
-The port has the settings of most serial adapters. Set the instrument to them, or state its baud rate.
+The port has the settings of most serial adapters: set the instrument to these, or state its baud rate.
 """
 
 from typing import Final

@@ -29,8 +29,8 @@ class AcutrolHead(MotorisedHead):
     """A `DividingHead` on one axis of an ACUTROL.
 
     A table slower than `still_rad_s` counts as at rest. The controller determines the speed of a move; the
-    speed in `travel` only sets when a move has stalled or takes too long. Angles are sent rounded to 0.001°.
-    Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
+    driver uses the speed in `travel` only to detect a stalled or overlong move. Angles are sent rounded to
+    0.001°. Raises `ValueError` if the tolerance is less than the rounding error, 0.0005°.
     """
 
     def __init__(
@@ -58,10 +58,8 @@ class AcutrolHead(MotorisedHead):
     def open(self) -> Identity:
         """Connect, switch the controller's lockout on, then open, reset and close the interlock.
 
-        The table is then powered but does not move.
-
-        The controller has no identity query: the format of its replies identifies it.
-        Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
+        The table is then powered but does not move. The controller has no identity query: the format of its
+        replies identifies it. Raises `InstrumentLost`, `BadReading`, `InstrumentRefused`.
         """
         self._positioning = False
         super().open()
@@ -88,7 +86,7 @@ class AcutrolHead(MotorisedHead):
             self._positioning = True
 
     def position_rad(self) -> float:
-        """Return the angle read back, rad."""
+        """Return the table's angle, read from the controller, rad."""
         return math.radians(self._read("position"))
 
     def start(self, target_rad: float) -> None:

@@ -1,7 +1,7 @@
 """An Aim-TTi PL-P or CPX over LAN, USB (a serial port to the computer) or RS-232.
 
-It does not use SCPI: `V1 5.0` sets, `V1?` returns `V1 5.000`, `V1O?` measures. Reading its limit event register
-clears it, so the driver remembers a trip until the output is switched on again.
+It does not use SCPI: `V1 5.0` sets, `V1?` returns `V1 5.000`, `V1O?` measures. Reading the supply's limit
+event register clears the register, so the driver remembers a trip until the output is switched on again.
 Sources: see `drivers.facts.aim_tti`.
 """
 

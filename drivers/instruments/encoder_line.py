@@ -60,8 +60,5 @@ class EncoderLine(ReadOutHead):
         self._shown_rad()
 
     def _shown_rad(self) -> float:
-        """Return the value of the counter, rad.
-
-        Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
-        """
+        """Return the value of the counter, rad. Raises the errors of `TextLine.number`."""
         return self._line.number(self._session) * self._rad

@@ -145,10 +145,7 @@ class EspecChamber(ControlledChamber):
         return self._accepted(command, self._session.ask(command, f"{_REFUSED}|{pattern}", expected))
 
     def _tell(self, command: str) -> None:
-        """Send a setting.
-
-        Raises `InstrumentRefused` unless the reply, apart from blanks, is `OK:` and the setting.
-        """
+        """Send a setting. Raises `InstrumentRefused` unless the reply is `OK:` and the setting."""
         wanted = f"OK:{command}".replace(" ", "")
         reply = self._session.command(command, rf"{_REFUSED}|OK:[\x20-\x7e]+", f"OK:{command}")
         if self._accepted(command, reply).replace(" ", "") != wanted:

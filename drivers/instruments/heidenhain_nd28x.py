@@ -27,7 +27,7 @@ _VALUE: Final = re.compile(r"([+ -]) *(\d+\.\d+) *")
 
 
 class HeidenhainNd28x(ReadOutHead):
-    """A `DividingHead` with an encoder on a display unit, `model` ND-281B or ND-287, in decimal degrees."""
+    """A `DividingHead` whose encoder is on an ND-281B or ND-287 (`model`), set to decimal degrees."""
 
     def __init__(
         self,
@@ -84,10 +84,7 @@ class HeidenhainNd28x(ReadOutHead):
                 raise InstrumentRefused(self.name, what, "set it by its keys, then start again")
 
     def _shown_rad(self) -> float:
-        """Return the value on the display, rad.
-
-        Raises `InstrumentRefused` for a relative value, a message or any other text in place of degrees.
-        """
+        """Return the displayed angle, rad. Raises `InstrumentRefused` for a relative value or other text."""
         self._refuse_without_reference()
         shown = self._session.ask(facts.ASK_DISPLAY, _SHOWN, "what is displayed, such as +00045.0028")[1:]
         match = _VALUE.fullmatch(shown)

@@ -1,7 +1,7 @@
 """Keithley 2000, measuring DC volts into its buffer.
 
-A start clears the buffer and fills it once. As the meter accepts commands while it measures, *WAI delays the
-reply until the last reading. Sources: see `drivers.facts.keithley_2000`.
+Starting a reading clears the buffer and fills it once. As the meter accepts commands while it measures, *WAI
+delays the reply until the last sample. Sources: see `drivers.facts.keithley_2000`.
 """
 
 from __future__ import annotations

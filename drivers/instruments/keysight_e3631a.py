@@ -1,7 +1,8 @@
 """An HP / Agilent / Keysight E3631A over GPIB (a board, an adapter) or RS-232.
 
-One switch controls all outputs, and there is no over-voltage protection. Over RS-232 it is first set to remote.
-Sources: see `drivers.facts.keysight_e3631a`; APPLy, MEASure, OUTPut, STATus:QUEStionable:INSTrument:ISUMmary.
+One switch controls all outputs, and there is no over-voltage protection. Over RS-232 the driver first sets
+the supply to remote. Sources: see `drivers.facts.keysight_e3631a`; APPLy, MEASure, OUTPut,
+STATus:QUEStionable:INSTrument:ISUMmary.
 """
 
 from __future__ import annotations

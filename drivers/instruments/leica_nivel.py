@@ -28,9 +28,9 @@ _EXAMPLE: Final = "X:-0.084 Y:+0.296 T:+24.4"
 class LeicaNivel(ProvedInstrument):
     """A `Level` that reads the sensor with address N`sensor`.
 
-    `along` and `across` name the sensor axes that lie along and across the shaft in the level's first position.
-    Their signs are such that readings are positive as `LevelAxis` states. A reading is the mean of `averages`
-    measurements, one per second. Raises `ValueError` if both name the same axis.
+    `along` and `across` name the sensor axes that lie along and across the shaft in the level's first
+    position. Their signs give readings the signs that `LevelAxis` defines. A reading is the mean of
+    `averages` measurements, one per second. Raises `ValueError` if both name the same axis.
     """
 
     asks_person = False

@@ -51,8 +51,8 @@ class LineThermometer(ProvedInstrument):
     def block_c(self, key: str) -> float:
         """Return the block temperature, °C.
 
-        Raises `BadReading` for a reply without a number or a number out of range, `InstrumentRefused` for a line in
-        `errors`, `InstrumentLost` if there is no reply.
+        Raises `BadReading` for a reply without a number, or for a number out of range; `InstrumentRefused`
+        for a line in `errors`; `InstrumentLost` if there is no reply.
         """
         shown_c, (low_c, high_c) = self._line.number(self._session), self._range_c
         if not low_c <= shown_c <= high_c:

@@ -169,8 +169,9 @@ _ENDS: Final[dict[tuple[LevelAxis, bool], str]] = {
 class ManualLevel(ByHand):
     """A `Level` with one vial, which a person lays first along the shaft, then across it.
 
-    The scale has `most_divisions` of `division_rad` each to either side. Standard uncertainties: of a reading,
-    `reading_divisions`; of a division, `scale`, relative; of the level's alignment, `turn_rad`.
+    The scale has `most_divisions` divisions of `division_rad` on either side of its middle. The standard
+    uncertainties are `reading_divisions` for a reading, `scale` (relative) for a division, and `turn_rad` for
+    the direction of the level.
     """
 
     model = "bubble level"
@@ -251,8 +252,8 @@ def ask_temperature(
 ) -> float | None:
     """Ask for a temperature, °C; return None if no attempt gives one between `low_c` and `high_c`.
 
-    `key` names the question, `text` says what to do. `outside` returns a sentence about a value out of range. `of`
-    is "meter" or "room" for a temperature other than the block's. Raises `NoAnswer` if nobody can answer.
+    `key` is the prompt's id, `text` the task. `outside` returns the sentence shown for a value out of range.
+    `of` is "block", "meter" or "room". Raises `NoAnswer` if nobody can answer.
     """
     question = Prompt(
         id=key,
@@ -383,9 +384,9 @@ _PLACES: Final = {
 
 
 class ManualThermometer(ByHand):
-    """A `Thermometer` that a person reads, from `minimum_c` to `maximum_c`, °C.
+    """A `Thermometer` that a person reads; its range is `minimum_c` to `maximum_c`, °C.
 
-    `of` is the place of the thermometer: "block", "meter" or "room".
+    It is at the "block", at the "meter" or in the "room", as `of` says; `sensor` describes it in the record.
     """
 
     model = "thermometer"
@@ -408,7 +409,7 @@ class ManualThermometer(ByHand):
         self._maximum_c = maximum_c
 
     def block_c(self, key: str) -> float:
-        """Ask for the temperature, °C; repeat the question if it is out of range.
+        """Ask for the temperature at the thermometer's place, °C; repeat the question if it is out of range.
 
         Raises `BadReading` after the last attempt, `NoAnswer` if nobody can answer.
         """

@@ -38,9 +38,9 @@ _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
 
 
 class ManualSupply(ByHand):
-    """A `PowerSupply` that a person operates.
+    """A `PowerSupply` with these `limits` that a person operates.
 
-    `limits` are the limits of its outputs. A measured voltage may differ from the set one by `tolerance_v`.
+    A measured voltage may differ from the set voltage by `tolerance_v`, V.
     """
 
     model = "power supply"
@@ -87,10 +87,10 @@ class ManualSupply(ByHand):
             self._set[output] = wanted
 
     def switch(self, output: str, on: bool, key: str) -> None:
-        """Ask the person to switch an output and, if it is on, to type the voltage that the supply shows.
+        """Ask the person to switch an output; after switching on, ask for the voltage that the supply shows.
 
-        Raises `InstrumentRefused` if the output was not set up, did not switch, or shows a wrong voltage;
-        `BadReading`, `NoAnswer`.
+        Raises `InstrumentRefused` if nobody confirms, the output did not switch, was not set up before it is
+        switched on, or shows a wrong voltage; `BadReading`, `NoAnswer`.
         """
         if on and output not in self._set:
             raise InstrumentRefused(
@@ -137,10 +137,7 @@ class ManualSupply(ByHand):
         return OutputState(on, settings, voltage_v, current_a, tripped, limiting)
 
     def _have_set(self, output: str, wanted: OutputSettings, key: str) -> None:
-        """Ask the person to set an output until the settings read back agree.
-
-        Raises `InstrumentRefused` after the last attempt.
-        """
+        """Ask for an output's settings until those read back agree, else raise `InstrumentRefused`."""
         protection = "" if wanted.over_voltage_v is None else f"protection at {wanted.over_voltage_v:g} V, "
         task = (
             f"Set output {output} of the power supply, which stays off: {protection}"

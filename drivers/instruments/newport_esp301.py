@@ -66,7 +66,10 @@ class NewportHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Stop a move in progress, clear old errors, verify the settings; home if needed and allowed."""
+        """Stop a move in progress, clear old errors, verify the settings; home the head if its motor is off.
+
+        Raises `InstrumentRefused` if a setting differs, or if homing is needed but not allowed.
+        """
         if self._turns():
             self.stop()
             self._mover.wait_while(self._turns, self._travel.time_limit_s(0.0))
@@ -139,10 +142,7 @@ class NewportHead(MotorisedHead):
         return match[1], match[2]
 
     def _refuse_other_settings(self, what: str) -> None:
-        """Raise `InstrumentRefused` unless the unit is the degree and the speed is the one set.
-
-        `what` is the beginning of the message if the speed differs, such as "was set otherwise since".
-        """
+        """Raise `InstrumentRefused` for another unit or speed; `what` begins the message about the speed."""
         unit = int(self._number("SN?"))
         if unit != facts.DEGREES:
             raise InstrumentRefused(

@@ -23,9 +23,10 @@ if TYPE_CHECKING:
 class WatlowF4TChamber(ControlledChamber):
     """A `ThermalChamber` on one control loop of an F4T.
 
-    `output` is the output that switches conditioning on, if the chamber has one: it is switched on with each set
-    point and off by `make_safe`. Without an output, `make_safe` sets `safe_c`. `identity` is a
-    case-insensitive pattern for the reply to *IDN?. `open` also verifies that the controller reports °C or °F.
+    `output` is the output that switches conditioning on, if the chamber has one: it is switched on with each
+    set point and off by `make_safe`. Without an output, `make_safe` sends the set point `safe_c`, °C.
+    `identity` is a case-insensitive pattern for the reply to *IDN?. `open` also verifies that the controller
+    reports °C or °F.
     """
 
     resolution_c = facts.RESOLUTION_C
@@ -112,10 +113,7 @@ class WatlowF4TChamber(ControlledChamber):
         return self._session.ask(":UNIT:TEMPERATURE?", "[CF]", "C or F") == "F"
 
     def _temperature_c(self, what: str) -> float:
-        """Return the temperature `what` of the loop, PVALUE or SPOINT, °C.
-
-        The unit is queried each time, as somebody may change it.
-        """
+        """Return PVALUE or SPOINT (`what`) of the loop, °C; query the unit first, as somebody may change it."""
         fahrenheit = self._fahrenheit()
         value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
         return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value

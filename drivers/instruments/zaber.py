@@ -65,11 +65,12 @@ class _Reply:
 class ZaberHead(MotorisedHead):
     """A `DividingHead` on one axis of a Zaber device.
 
-    `steps_per_degree` is the number of microsteps (encoder counts on a direct drive) per degree at the setting
-    `resolution`; it is negative if the angle falls with rising steps. Step 0 is 0°. Angles are sent and read back
-    as whole steps. `identity` is the pattern of the device id. `allow_homing` permits homing, which turns the head
-    to its sensor without regard to the limits. With `checksums` every message has a checksum. Raises `ValueError`
-    if the limits exceed the controller's step counter, or if a step is coarser than the tolerance.
+    `steps_per_degree` is the number of microsteps (encoder counts on a direct drive) per degree at the
+    setting `resolution`; it is negative if the angle falls with rising steps. Step 0 is 0°. Angles are sent
+    and read back as whole steps. `identity` is the pattern of the device id. `allow_homing` permits homing,
+    which turns the head to its sensor without regard to the limits. With `checksums` every message has a
+    checksum. Raises `ValueError` if `steps_per_degree` is 0 or not finite, the limits exceed the controller's
+    step counter, or half a step exceeds the tolerance.
     """
 
     def __init__(
@@ -100,7 +101,10 @@ class ZaberHead(MotorisedHead):
     # --- the axis -----------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Stop a move in progress, clear old warnings, home if needed and allowed."""
+        """Stop a move in progress, clear old warnings, and home the head if its reference is lost.
+
+        Raises `InstrumentRefused` if homing is needed but not allowed, or if another warning remains.
+        """
         if self._ask("").busy:
             self.stop()
             # The interruption raises a warning flag, too, which is cleared below.
@@ -261,10 +265,7 @@ def _with_flag(flag: str) -> str:
 
 
 def _checked(steps_per_degree: float, travel: Travel) -> float:
-    """Return `steps_per_degree`.
-
-    Raises `ValueError` if the limits exceed the step counter, or if a step is coarser than the tolerance.
-    """
+    """Return `steps_per_degree`; raise `ValueError` as `ZaberHead` states."""
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"steps_per_degree: state a number other than 0, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))

@@ -227,7 +227,10 @@ class Connection:
     def open(
         cls, resource: str, *, timeout_s: float, read_termination: str, serial: SerialSettings
     ) -> Connection:
-        """Open `resource`, verify that it is connected and set the port up, within `timeout_s` (+ 0.5 s)."""
+        """Open `resource`, verify that it is connected, set the port up and lock the instrument.
+
+        The opening may take `timeout_s` + 0.5 s, the lock another `timeout_s`.
+        """
         connection = cls(_open_in_time(resource, timeout_s))
         try:
             connection._prove_and_tune()
@@ -239,11 +242,11 @@ class Connection:
         return connection
 
     def close(self) -> None:
-        """Close the resource; if pyvisa fails to, close the underlying port. Never raises."""
+        """Close the resource, and the underlying port even if pyvisa fails to. Never raises."""
         _discard(self._visa)
 
     def take_own_lock(self, timeout_s: float) -> None:
-        """Lock the instrument itself against other computers, if its interface can (with pyvisa-py: VXI-11).
+        """Lock the instrument against other computers, if its interface has a lock (with pyvisa-py: VXI-11).
 
         Raises `VisaIOError` if another client has the lock. The end of the connection releases the lock.
         """
@@ -279,7 +282,7 @@ class Connection:
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether bytes or the end of the connection arrive within `timeout_s`; only if `by_bytes`."""
+        """Return whether bytes or the peer's close arrive within `timeout_s`; call it only if `by_bytes`."""
         return bool(select.select([self._interface], [], [], timeout_s)[0])
 
     def take(self) -> tuple[bytes, bool]:

@@ -14,7 +14,7 @@ of the log; `clock.catch_up()` advances it to the next line before a call of the
 
     python -m drivers.wire.replay wire.log --instrument voltmeter.x
 
-prints pairs of (sent, answered), for tests of another form. A log of an earlier version has no `!` lines: a query
+prints pairs of (sent, answered), for other tests. A log of an earlier version has no `!` lines: a query
 without reply then counts as silence, every reply as complete, every connection as made. No log holds the driver's
 settings, or the loss of the link by another instrument on the same GPIB adapter. The log of a dry run has the
 computer's time, not the bench's. In a reply, `\\x` with two hex digits, `\\n`, `\\r` and `\\t` are unescaped.
@@ -319,9 +319,10 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether the next line of the log is data; with `timeout_s` 0 such data is unsolicited.
+        """Return whether the next line of the log is data; if it is a failure, raise the failure.
 
-        Raises a failure that the log has here. Without data, the clock advances by `timeout_s`.
+        A wait with `timeout_s` 0, before a command is sent, finds unsolicited data. Without data, the clock
+        advances by `timeout_s`.
         """
         self._when = AFTER_SENDING if timeout_s > 0.0 else BEFORE_SENDING
         self.fail(self._when)

@@ -127,10 +127,10 @@ _NO_LOCKS: Final = (OSError, NotImplementedError)
 def normalised(resource: str) -> str:
     """Return one name for all usual spellings of a resource.
 
-    The case, optional parts, hexadecimal or decimal numbers, and localhost or 127.0.0.1 make no difference. Leading
-    zeros do (`GPIB0::022`, `GPIB0::22`), as do a host's name and its address, because host names are not resolved.
-    Instruments behind one adapter share the adapter's name. A serial port is named after the device to which its
-    symbolic links resolve.
+    The case, optional parts, hexadecimal or decimal numbers, and localhost or 127.0.0.1 make no difference.
+    Leading zeros make a difference (`GPIB0::022`, `GPIB0::22`), and so do a host's name and its address,
+    because host names are not resolved. Instruments behind one adapter share the adapter's name. A serial
+    port is named after the device to which its symbolic links resolve.
     """
     if (adapter := _ADAPTER.fullmatch(resource)) is not None:
         place = adapter[1]
@@ -162,7 +162,7 @@ def _number(text: str) -> str:
 
 
 class Holding:
-    """The locks of this program, as files in `folder`; a resource taken twice must be released twice."""
+    """The locks of this program, as files in `folder`; a resource locked twice must be released twice."""
 
     _held: Final[dict[Path, tuple[FileLock, int]]] = {}
     _guard: Final = threading.Lock()
@@ -171,10 +171,10 @@ class Holding:
         self._folder = folder
 
     def take(self, name: str, resource: str, called: str = "") -> None:
-        """Lock the resource of instrument `name`; if no files can be locked there, lock nothing.
+        """Lock the resource of instrument `name`; if files in the folder cannot be locked, lock nothing.
 
-        Raises `InstrumentRefused`, which names the holder, if another program has it. The message names the
-        resource, or `called` instead, for example for a resource that no person typed.
+        Raises `InstrumentRefused`, which names the holder, if another program has locked it. The message
+        calls the resource `called`, if that is not empty, for example for a resource that no person typed.
         """
         path = self._path(resource)
         with self._guard:

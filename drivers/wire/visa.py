@@ -394,8 +394,8 @@ _T = TypeVar("_T")
 class ProvedSession:
     """Commands and queries over a `MessageSession`; the instrument is verified first on every new connection.
 
-    `prove` identifies the instrument through this session, and raises an error for any other instrument.
-    `write_gap_s` is the pause that the instrument needs after a command without reply.
+    `prove` identifies the instrument through this session, and raises an error for any other instrument. The
+    instrument needs a pause of `write_gap_s`, s, after a command without reply.
     """
 
     def __init__(
@@ -445,7 +445,7 @@ class ProvedSession:
         """Return the result of `exchange`, repeated over a new connection after a transport failure.
 
         There are at most three attempts. A second `InstrumentLost` ends them, because the instrument is then
-        absent. While `prove` runs, nothing is repeated: the call outside it repeats the whole verification.
+        absent. A failure within `prove` repeats the whole verification, not the single exchange.
         """
         lost = 0
         for _ in range(ATTEMPTS - 1):

@@ -60,7 +60,7 @@ _DATA_OUT_OF_RANGE: Final = -222
 
 @runtime_checkable
 class Switchable(Protocol):
-    """An instrument that forgets its settings when it is switched off and on."""
+    """An instrument that can be switched off and on."""
 
     def power_cycle(self) -> None:
         """Switch off and on."""
@@ -114,8 +114,8 @@ OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
 class Fault:
     """One kind of fault and the condition under which it strikes.
 
-    Only commands that contain `matching` (in upper or lower case) count. Of these, the fault strikes each one
-    with `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that delays or alters
+    Only commands that contain `matching`, in upper or lower case, count. The fault strikes each of them with
+    `probability`, or only the `at`-th (from 1), or all if neither is stated. A fault that delays or alters
     the reply cannot strike a command without one; if the `at`-th command has no reply, it strikes the next
     reply. `instrument` is a name on the bench, empty for all.
     """
@@ -286,7 +286,7 @@ class FaultyInstrument:
     # --- as a dialect -------------------------------------------------------------------------------
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
-        """Carry out a message, with the faults of the instrument itself but not those of its wire."""
+        """Carry out a message with the instrument's own faults; return None if it hangs, else its reply."""
         struck = {
             a.fault.kind: a.fault
             for a in self._armed
@@ -312,7 +312,7 @@ class FaultyInstrument:
             self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
-        """Pass `left`, a function that returns whether the client has disconnected, to the instrument."""
+        """Pass `left`, which returns whether the client has disconnected, to an instrument that measures."""
         if self._measures is not None:
             self._measures.cycle.sent_by(left)
 

@@ -79,15 +79,15 @@ class LookaheadClock(VirtualClock):
         return max(self._bench.now_s(), self._ahead_s)
 
     def sleep(self, duration_s: float) -> None:
-        """Advance this clock by `duration_s` ahead of the bench."""
+        """Advance this clock by `duration_s`; the bench's clock does not advance."""
         self.advance_to(self.now_s() + max(0.0, duration_s))
 
     def advance_to(self, time_s: float) -> None:
-        """Advance this clock ahead of the bench to `time_s`."""
+        """Advance this clock to `time_s`; the bench's clock does not advance."""
         self._ahead_s = max(self._ahead_s, time_s)
 
     def return_to_present(self) -> None:
-        """Set this clock back to the bench's time, after a clear of the instrument."""
+        """Set this clock back to the bench's time."""
         self._ahead_s = -math.inf
 
 

@@ -262,7 +262,7 @@ class TerminalTransport:
         return self._ready(0.0)
 
     def send(self, data: bytes, interrupted: Callable[[], bool]) -> None:
-        """Send all of `data`; if the client reads nothing, wait until `interrupted` returns True."""
+        """Send all of `data`; discard the rest if the client reads none and `interrupted` returns True."""
         while data:
             writable = select.select([self._wake_read], [self._master], [], _LOOK_S)[1]
             if self._closed:
@@ -295,8 +295,8 @@ class TerminalTransport:
 class TerminalServer(InstrumentServer):
     """A pseudo-terminal for one instrument; a context manager. Clients open `path`.
 
-    Several clients may open and close it, in turn or at once; the terminal stays. Dropping the connections discards
-    the data on the wire. While connections are refused, nothing is read or sent.
+    Several clients may open and close `path`, in turn or at once; the terminal stays. Dropping the
+    connections discards the data on the wire. While connections are refused, nothing is read or sent.
     """
 
     def __init__(self, instrument: ServedInstrument) -> None:

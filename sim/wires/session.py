@@ -118,11 +118,11 @@ LEAVING_S: Final = 2.0
 class LineEnds:
     """The line ends of an instrument: each of `messages` ends a message, `reply` is appended to each reply.
 
-    If `reply` is None, the wire's own terminator is appended. `frame`, if given, replaces `reply`: it converts a
-    reply to the bytes that are sent. If LF ends a message, a CR before it is dropped. With `clears` False, ETX is
-    an ordinary character, not a device clear. A message longer than `buffer` bytes overflows. With `loses_early`
-    the instrument keeps only the first characters of what arrives between a query and the end of its reply, as if
-    the sender ignored the flow control.
+    If `reply` is None, the wire's own terminator is appended. `frame`, if given, replaces `reply`: it
+    converts a reply to the bytes that are sent. If LF ends a message, a CR before it is dropped. With
+    `clears` False, ETX is an ordinary character, not a device clear. A message longer than `buffer` bytes
+    overflows. With `loses_early` the instrument keeps only the first 10 characters that arrive between a
+    query and the end of its reply, as if the sender ignored the flow control.
     """
 
     messages: tuple[bytes, ...] = (TERMINATOR,)
@@ -277,7 +277,7 @@ class Framer:
         self._buffer += data
 
     def lose(self) -> bool:
-        """Discard device clears and all but the first characters of the input; return whether any were lost."""
+        """Discard device clears and all but the input's first 10 characters; return whether any were lost."""
         lost = len(self._buffer) > _WITHIN_HOLD_OFF or DEVICE_CLEAR in self._buffer
         self._buffer = self._buffer[:_WITHIN_HOLD_OFF].replace(DEVICE_CLEAR, b"")
         return lost
@@ -326,7 +326,7 @@ class ServedInstrument:
     def exchange(
         self, session: Session, message: bytes, interrupted: Callable[[], bool]
     ) -> tuple[bytes | None, WireFault | None]:
-        """Carry out a message; return the reply and the fault of the wire for this exchange."""
+        """Carry out a message; return the reply and the wire's fault for this exchange, each None if none."""
 
         def cleared() -> bool:
             return bool(self._clearing) or interrupted()
@@ -374,7 +374,7 @@ class ServedInstrument:
 class Session:
     """One client of one instrument.
 
-    To refuse new clients, it calls `on_refuse` with the duration, s; 0 means without limit.
+    If a fault refuses new clients, the session calls `on_refuse` with the duration, s; 0 means without limit.
     """
 
     def __init__(
@@ -449,8 +449,7 @@ class Session:
     def _interrupted(self) -> bool:
         """Return whether to give up the command in progress: after a device clear, or if the client has left.
 
-        A client that has closed only its sending side may still read the reply, so it counts as present for
-        `LEAVING_S`.
+        A client that closed only its sending side counts as present for `LEAVING_S`, to read the reply.
         """
         if self._silent_since_s is None and self._transport.has_input() and not self._receive():
             self._silent_since_s = self._clock.now_s()

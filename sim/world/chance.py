@@ -23,7 +23,7 @@ def keyed_generator(seed: int, *key: object) -> np.random.Generator:
 class KeyedNumbers:
     """Random generators keyed by seed, purpose and step of the procedure.
 
-    `told_scan` is the scan order that the present step stated, empty if none.
+    `told_scan` lists the channels 0, 1, 2 in the scan order that the present step stated, or is empty.
     """
 
     def __init__(self, seed: int, lock: threading.RLock) -> None:

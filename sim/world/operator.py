@@ -63,11 +63,12 @@ _TAKES: Final = {
 class OperatorSettings:
     """Settings of the simulated operator: accuracy, times and slips.
 
-    The operator sets the head with a normal error of standard deviation `setting_deviation_rad`, to a whole step
-    `resolution_rad` of the scale. Times are in s. A turn takes a time drawn uniformly from the interval
-    `turn_time_s`. A mounting takes `mount_time_s`, a second look at the scale `second_look_s`, the reading of a
-    display `display_time_s`, any other task `task_time_s`.
-    `slip_probability` is that of a slip: the typed angle is off by 1°, 10′ or 1′ although the head is set
+    The operator sets the head with a normal error of standard deviation `setting_deviation_rad`, to a whole
+    step `resolution_rad` of the scale. Times are in s. A turn takes a time drawn uniformly from the interval
+    `turn_time_s`. Mounting the block or levelling the platform takes `mount_time_s`, a second look at the
+    scale `second_look_s`, an action at the supply `display_time_s`. An action at chamber, thermometer, level
+    or input switch takes `task_time_s`; other tasks take no time.
+    With `slip_probability` a slip occurs: the typed angle is off by 1°, 10′ or 1′ although the head is set
     correctly. If an encoder reads the head and no angle is typed, a slip is an approach from the wrong side.
     """
 
@@ -184,11 +185,7 @@ class ScriptedOperator:
         return round(angle_rad / self._settings.resolution_rad) * self._settings.resolution_rad
 
     def _approach(self, angle_rad: float, backoff_rad: float, duration_s: float) -> None:
-        """Turn the head as an encoder requires: to twice `backoff_rad` before an angle, then to the angle.
-
-        `backoff_rad` is positive for rising, negative for falling approach; a slip of the operator reverses its
-        sign.
-        """
+        """Turn to twice `backoff_rad` (sign: direction, reversed by a slip) before the angle, then to it."""
         for end_rad, share in ((angle_rad - 2.0 * backoff_rad, 0.6), (angle_rad, 0.4)):
             way_rad = abs(end_rad - self._world.scale_angle_rad)
             if way_rad > 0.0:

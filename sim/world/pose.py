@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 class Pose:
     """The position of the block from `since_s` on; compared by identity, since each pose is a separate event.
 
-    `demanded_rad` is the target of the head; `stuck` is true if a fault makes the head stick or run away. `input_v`
-    is the voltage at the inputs of all three meters; None if they measure the block's signals.
+    `demanded_rad` is the target of the head; `stuck` is true if a fault makes the head stick or run away. All
+    three meters measure `input_v`, V, or the block's signals if that is None.
     """
 
     since_s: float
@@ -44,10 +44,11 @@ class Pose:
 class Visit(NamedTuple):
     """A pose at one time, `elapsed_s` after the world began, with the conditions at that time.
 
-    `block_c` and `meters_c` are the temperatures of block and voltmeters, °C. `scan` lists the channels 0, 1, 2 in
-    the order in which the meters were triggered. `on_s` is the time since the block got power, None if unknown.
-    `supply_v` is the voltage of each rail minus its nominal voltage, V. `series_on` is the result of
-    `switched_on_since`; it is added to the mounting's series, so that effects treat a power cycle like a remount.
+    `block_c` and `meters_c` are the temperatures of block and voltmeters, °C. `scan` lists the channels 0, 1,
+    2 in the order in which the meters were triggered. `on_s` is the time since the block got power, None
+    without power, without rails or for a recalled reading. `supply_v` is the voltage of each rail minus its
+    nominal voltage, V. `series_on` is the result of `switched_on_since`; it is added to the mounting's
+    series, so that effects treat a power cycle like a remount.
     """
 
     pose: Pose
@@ -64,10 +65,11 @@ class Visit(NamedTuple):
 def switched_on_since(
     pose: Pose, visits: Sequence[Visit], switchings: Sequence[tuple[float, bool]], time_s: float
 ) -> int:
-    """Return the number of power cycles of the block from its first reading in this mounting to `time_s`.
+    """Return the number of power cycles of the block from the first reading of a mounting to `time_s`.
 
-    Power cycles without a reading between them count once. `pose` belongs to the mounting. `visits` are the visits
-    read so far, `switchings` the times at which the block gained (True) or lost power.
+    Power cycles without a reading between them count once. `pose` is any pose of the mounting; without a
+    reading in it the number is 0. `visits` are the readings made so far, `switchings` the times at which the
+    block gained (True) or lost power.
     """
     read_s = [visit.time_s for visit in visits if visit.pose.stand_rad is pose.stand_rad]
     on_s = [at_s for at_s, on in switchings if on and read_s and read_s[0] < at_s <= time_s]
@@ -102,10 +104,7 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:
-    """Return each rail's voltage minus its nominal voltage, V, (n, rails); None if no visit has voltages.
-
-    Visits without voltages have NaN.
-    """
+    """Return each rail's voltage minus its nominal voltage, V, (n, rails), unknown NaN; or None."""
     rails = max((len(visit.supply_v) for visit in visits), default=0)
     if not rails:
         return None
@@ -130,7 +129,7 @@ class HeadTurn:
 
     @property
     def arrives_s(self) -> float:
-        """The time at which the rotation ends."""
+        """The clock time at which the rotation ends, s."""
         return self.since_s + abs(self.end_rad - self.start_rad) / self.speed_rad_s
 
     def angle_rad(self, time_s: float) -> float:
@@ -141,7 +140,7 @@ class HeadTurn:
         return self.start_rad + math.copysign(turned_rad, self.end_rad - self.start_rad)
 
     def rate_rad_s(self, time_s: float) -> float:
-        """Return the signed rate at a time, rad/s; zero at rest."""
+        """Return the rate at a time, rad/s, negative for a falling angle; zero at rest."""
         if not self.since_s <= time_s < self.arrives_s:
             return 0.0
         return math.copysign(self.speed_rad_s, self.end_rad - self.start_rad)
@@ -151,8 +150,8 @@ class HeadTurn:
 class HeadFault:
     """A fault of a motorised head, for movements that begin while it is set.
 
-    With `sticks_after_rad`, the head sticks after a rotation by this angle, at once for 0. A head that does not
-    stick stops where its own scale shows `stops_off_rad` more than the target. A head that `runs_away`, as with a
+    With `sticks_after_rad`, the head sticks after a rotation by this angle, at once if it is 0. A head that
+    does not stick stops at a scale angle `stops_off_rad` above the target. A head that `runs_away`, as with a
     wrong sign, turns away from the target until it is stopped.
     """
 
@@ -183,7 +182,7 @@ _BLOCK: Final = Block(np.eye(3), np.zeros(3))
 
 @dataclass(frozen=True)
 class LevelSettings:
-    """The errors of a level: zero errors and standard deviation of the noise, rad; relative scale error."""
+    """The errors of a level, rad: two zero errors and the noise's standard deviation; `scale`, relative."""
 
     zero_along_rad: float = 0.0
     zero_across_rad: float = 0.0

@@ -31,9 +31,10 @@ DISTURBANCES: Final[Mapping[DisturbanceKind, str]] = {
 
 @dataclass(frozen=True)
 class Rail:
-    """A supply rail of the block: the output that feeds it, its nominal voltage (V) and its nominal current (A).
+    """A supply rail of the block: the output that feeds it, its nominal voltage, V, and nominal current, A.
 
-    The block works within `working_v`. The absolute maximum ratings are `absolute_v` and `absolute_a`.
+    The block works within `working_v`, V; its absolute maximum ratings are `absolute_v`, V, and `absolute_a`,
+    A.
     """
 
     name: str
@@ -64,7 +65,7 @@ class PowerSettings:
 
 @dataclass(frozen=True)
 class Disturbance:
-    """A disturbance of an output (of all, if `output` is empty) from clock time `at_s` on, for `lasts_s`.
+    """A disturbance of an output (of all, if `output` is empty) from clock time `at_s` on, for `lasts_s`, s.
 
     `DISTURBANCES` explains each `kind` and its `size`.
     """
@@ -80,8 +81,8 @@ class Disturbance:
 class OutputPhase:
     """The state of an output from `since_s` on: switch, voltage, current limit, protection and disturbances.
 
-    The output trips when its voltage reaches `trip_v`, or when its current has been at the limit for
-    `trip_after_s`; a protection that is None never trips. `on_since_s` is the time of the last switch-on.
+    The output trips when its voltage reaches `trip_v`, or when its current was at the limit for
+    `trip_after_s`; a criterion that is None never trips it. `on_since_s` is the time of the last switch-on.
     """
 
     since_s: float
@@ -110,7 +111,7 @@ class OutputReading:
 
 @dataclass(frozen=True)
 class Violation:
-    """A period in which a rail was outside its absolute maximum ratings; `value` is the worst, in V or A."""
+    """A period in which a rail was outside its absolute maximum ratings; `value` is the worst, in `unit`."""
 
     rail: str
     from_s: float
@@ -174,7 +175,7 @@ class Power:
     # --- actions and disturbances -------------------------------------------------------------------
 
     def change(self, output: str, now_s: float, **changes: object) -> None:
-        """Change the fields `changes` of an output's `OutputPhase` from now on."""
+        """Set the fields of an output's `OutputPhase` that `changes` names, from now on."""
         with self._lock:
             self.advance(now_s)
             self._change(output, self._reached_s, **changes)
@@ -248,7 +249,7 @@ class Power:
             return tuple(self._rail_v(rail, time_s) - rail.nominal_v for rail in self.settings.rails)
 
     def on_since_s(self, time_s: float) -> float | None:
-        """Return when the block last got power, as of `time_s`; None if it then has no power or no rails."""
+        """Return the time, s, since which the block has power at `time_s`; None without power or rails."""
         if not self.settings.rails:
             return None
         with self._lock:
@@ -263,7 +264,7 @@ class Power:
 
     @property
     def switchings(self) -> tuple[tuple[float, bool], ...]:
-        """The times at which the block gained (True) or lost (False) power; the first entry is False."""
+        """The clock times, s, at which the block gained (True) or lost power (False); the first is False."""
         return tuple(self._lives)
 
     # --- advance of time ----------------------------------------------------------------------------

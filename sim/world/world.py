@@ -98,13 +98,13 @@ class Heat:
         self._go_on(now_s, target_c, 0.0, 0.0, 1.0)
 
     def relax_air(self, now_s: float, target_c: float, lag_s: float) -> None:
-        """Let the air relax to `target_c` with a time constant, as in a chamber that is switched off."""
+        """Let the air relax to `target_c` with the time constant `lag_s`, as in a chamber that is off."""
         self._go_on(now_s, target_c, 0.0, self.air_c(now_s) - target_c, lag_s)
 
     def ramp_air(
         self, now_s: float, target_c: float, rate_c_s: float, lag_s: float, ringing_s: float = 0.0
     ) -> None:
-        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with its lag.
+        """Ramp the demand from the present air to `target_c` at `rate_c_s`; the air follows with `lag_s`.
 
         With a period `ringing_s` the air overshoots the target and oscillates about it with this period; the
         oscillation decays with the lag.
@@ -143,7 +143,7 @@ class Heat:
 
 
 class Terminals:
-    """The terminals of one channel of the world, to which a simulated meter is wired (a `MeteredSignal`)."""
+    """The terminals of one channel of the world, as the `MeteredSignal` to which a simulated meter is wired."""
 
     def __init__(self, world: World, channel: Channel) -> None:
         self._world = world
@@ -165,7 +165,7 @@ class Terminals:
         return self._world.signal_v(self._channel, time_s)
 
     def new_reading(self) -> None:
-        """Begin a new reading, when the meter is triggered."""
+        """Begin a new reading; called when the meter is triggered."""
         self._reading = self._world.new_reading(self._channel)
 
     def random(self, purpose: str) -> np.random.Generator:
@@ -189,15 +189,16 @@ _CACHED_SIGNALS: Final = 4096
 class WorldSettings:
     """Settings of the simulated world.
 
-    `stand` maps names in `STAND_NAMES` to the distributions of the stand errors; an omitted error is zero. The
-    stand angles (rad) are drawn at each mounting, "setting_error" alpha4 (rad) at each turn of the head,
+    `stand` maps names in `STAND_NAMES` to the distributions of the stand errors; an omitted error is zero.
+    The stand angles (rad) are drawn at each mounting, "setting_error" alpha4 (rad) at each turn of the head,
     "voltmeter_error" (V) at each reading of each channel.
     The room's temperature is a sine about `ambient_c` with the amplitude (K) and period (s) `room_swing`; the
-    meters follow it with the lag `meter_lag_s`. A controlled chamber ramps its demand at `chamber_rate_c_s`, and
-    its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` it overshoots and oscillates.
-    The air of a chamber that is off relaxes to `ambient_c` with the lag `chamber_off_lag_s`. The block follows the
-    air with the lag `block_time_constant_s`; the platform shifts it towards the room's temperature by the fraction
-    `room_share` of the difference. A block without rails in `power` always has power.
+    meters follow it with the lag `meter_lag_s`. A controlled chamber ramps its demand at `chamber_rate_c_s`,
+    and its air follows with the lag `chamber_lag_s`; with a period `chamber_ringing_s` the air overshoots and
+    oscillates. The air of a chamber that is off relaxes to `ambient_c` with the lag `chamber_off_lag_s`. The
+    block follows the air with the lag `block_time_constant_s`. Heat through the platform moves the block's
+    temperature towards the room's, by the fraction `room_share` of their difference. A block without rails in
+    `power` always has power.
     """
 
     block: Block
@@ -268,9 +269,9 @@ class World(KeyedNumbers):
 
     @contextmanager
     def aside(self) -> Iterator[None]:
-        """Let instruments be read in this context; its end restores time, history and random numbers.
+        """Let instruments be read in this context without effect on the history of readings.
 
-        Random numbers drawn in it belong to no step. Only a virtual clock can be set back; other clocks run on.
+        Its end restores a virtual clock's time and the random numbers of the step; other clocks run on.
         """
         with self._lock:
             now_s, kept = self.clock.now_s(), (self._step, self._counts.copy(), self._aside)
@@ -298,7 +299,7 @@ class World(KeyedNumbers):
             self._pose_on(installation=installation, series=series, stand_rad=stand_rad)
 
     def level_platform(self, installation: str, series: int) -> None:
-        """Set tilt and zero offset of the platform to the values that levelling it for this mounting leaves."""
+        """Level the platform for a mounting: axis tilt and zero offset take that mounting's drawn values."""
         with self._lock:
             stand_rad = self._poses[-1].stand_rad.copy()
             stand_rad[:2] = self._stand_rad(installation, series)[:2]
@@ -390,7 +391,7 @@ class World(KeyedNumbers):
             self._heat.relax_air(self.clock.now_s(), self.settings.ambient_c, self.settings.chamber_off_lag_s)
 
     def disturb_chamber(self, offset_c: float) -> None:
-        """Add a control error `offset_c`, °C: from now on the air settles at the demand plus `offset_c`."""
+        """Set a control error, °C: under control, the air from now on settles at the demand plus `offset_c`."""
         with self._lock:
             self._chamber_offset_c = offset_c
             if self._chamber_demand_c is not None:
@@ -399,8 +400,8 @@ class World(KeyedNumbers):
     def new_reading(self, channel: Channel) -> int:
         """Begin a reading of a channel: draw its voltmeter error; return the reading's number in the step.
 
-        If the head is at rest, the pose becomes part of the history on which effects depend. The scan order is the
-        order in which channels are begun, unless the step stated one.
+        If the head is at rest, the pose becomes part of the history on which effects depend. The scan order
+        is the order in which readings of the channels begin, unless the step stated one.
         """
         with self._lock:
             if self._aside:  # keep the meter's error and the history of the last reading
@@ -456,7 +457,7 @@ class World(KeyedNumbers):
 
     @property
     def series(self) -> int:
-        """The series of the present mounting."""
+        """The number of the present mounting in its installation, from 1."""
         return self._poses[-1].series
 
     @property
@@ -466,7 +467,7 @@ class World(KeyedNumbers):
 
     @property
     def head_rate_rad_s(self) -> float:
-        """The signed rate at which the motor turns the head, rad/s; zero at rest."""
+        """The rate at which the motor turns the head, rad/s, negative for a falling angle; zero at rest."""
         return self._poses[-1].turn.rate_rad_s(self.clock.now_s())
 
     @property
@@ -502,7 +503,7 @@ class World(KeyedNumbers):
         return self.block_c_at(self.clock.now_s())
 
     def block_c_at(self, time_s: float) -> float:
-        """Return the temperature of the block at a time of the clock, °C (first-order lag, closed form)."""
+        """Return the temperature of the block at a time of the clock, °C."""
         with self._lock:
             in_air_c = self._heat.block_c(time_s)
         return in_air_c + self.settings.room_share * (self.room_c(time_s) - in_air_c)
@@ -516,10 +517,7 @@ class World(KeyedNumbers):
         return self._swung_c(time_s, self.settings.meter_lag_s)
 
     def _swung_c(self, time_s: float | None, lag_s: float) -> float:
-        """Return the temperature of a body that follows the room's swing with a first-order lag, °C.
-
-        The transient at the beginning of the world is ignored.
-        """
+        """Return the temperature, °C, of a body that follows the room with a first-order lag; no transient."""
         elapsed_s = (self.clock.now_s() if time_s is None else time_s) - self.began_s
         size_c, period_s = self.settings.room_swing
         rate = math.tau / period_s
@@ -582,10 +580,7 @@ class World(KeyedNumbers):
         )
 
     def _past_s(self, time_s: float) -> float:
-        """Return the earlier of `time_s` and now, s: the clock of a meter on a bus may be ahead of the bench's.
-
-        The power supply is simulated only up to now.
-        """
+        """Return `time_s`, at most now, s: a meter's clock may be ahead of the simulated supply."""
         return min(time_s, self.clock.now_s())
 
     def _scan(self, pose: Pose) -> tuple[int, ...]:
