@@ -30,7 +30,7 @@ _NEGATIVE: Final = re.compile(r"(?<![\w.-])-(?=\d)")
 
 @dataclass(frozen=True)
 class Scale:
-    """A printed unit and its size: the printed number is the SI number divided by `size`."""
+    """A unit for printed numbers: the printed number is the number in SI units divided by `size`."""
 
     unit: str
     size: float

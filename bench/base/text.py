@@ -67,7 +67,7 @@ def civil_minute(time: str) -> str:
 
 
 def cause_of(error: Exception) -> str:
-    """Return what is wrong in words for a message, without Python's names of types, error numbers and paths."""
+    """Return the cause of an error for a message, without Python's type names, error numbers and paths."""
     match error:
         case KeyError():
             return f"{error} is missing"

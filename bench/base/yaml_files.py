@@ -389,16 +389,13 @@ class FileModel(BaseModel):
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
         """Yield the inconsistencies between parts of the file, each as (place, sentence); none by default.
 
-        `data` is the file as written; parts that are invalid for another reason are skipped.
+        `data` is the parsed file before validation. Parts that are invalid by themselves are skipped.
         """
         return ()
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use instead of this one; none by default.
-
-        An example is a model for each driver.
-        """
+        """Return the models that a file may use instead of this one, as one for each driver; default none."""
         return ()
 
 
@@ -520,12 +517,12 @@ Model = TypeVar("Model", bound=FileModel)
 
 
 def load_validated(path: Path, model: type[Model]) -> Model:
-    """Parse a file and return it as an instance of `model`. Raises `FileMistakes` with all its mistakes."""
+    """Parse a file and return it as an instance of `model`. Raises `FileMistakes` like `validated`."""
     return validated(load_document(path), model)
 
 
 def validated(document: Document, model: type[Model], context: Any = None) -> Model:
-    """Return a document's data as an instance of `model`. Raises `FileMistakes` with all its mistakes.
+    """Return a document's data as an instance of `model`. Raises `FileMistakes` with up to `MOST_TOLD` lines.
 
     The validators of `model` receive the `context` (`pydantic.ValidationInfo`).
     """

@@ -17,7 +17,7 @@ _UNKNOWN_TURN = np.full((3, 3), np.nan)
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """A forward model: installations by label, and the effects that it contains beyond the paper's own terms.
+    """A forward model: the paper's model, with installations by label and additional effects.
 
     `name` labels the model in results: "paper" without effects, else the name in the model file. The rows of
     `conditions` must be in the order of measurement, because an effect may depend on earlier rows.
@@ -160,7 +160,10 @@ class Stages:
         self.readings = self._read(self._voltage_v)
 
     def of(self, block: Block) -> Floats:
-        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
+        """Return the readings in V, shape (n, 3), of another block at the same specific force.
+
+        The model must have no effect before the output of the block. `voltage_v` is left out of account.
+        """
         conditions, _ = self._given
         return self._model.voltmeter_readings(
             self._model.output(self._force, conditions, block), conditions, block

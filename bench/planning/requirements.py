@@ -87,7 +87,7 @@ class Cost:
 
     @classmethod
     def of_plan(cls, plan: Plan, line_hz: float = 50.0) -> Cost:
-        """Return the time of an additional setting and of an additional mounting in a plan."""
+        """Return the time of an additional setting and of an additional mounting in a plan; `once_s` is 0."""
         reading_s = next((plan.step_duration_s(s, line_hz) for s in plan.steps if isinstance(s, Read)), 0.0)
         setting_s = plan.operator_time.turn_s + _settling_s(plan) + reading_s
         return cls(setting_s, plan.operator_time.mount_s)
@@ -277,9 +277,9 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each
 
 
 def of_delta_g(*, reading: bool) -> Target:
-    """Return Δg at the verification points as the target.
+    """Return a function for the variances of Δg at the verification points by source, (points, sources).
 
-    With `reading`, the target includes the errors of the readings at these points.
+    With `reading`, they include the errors of the readings at these points.
     """
 
     def variances(budget: Budget) -> Floats:
@@ -292,7 +292,10 @@ def of_delta_g(*, reading: bool) -> Target:
 
 
 def of_coefficient(name: str) -> Target:
-    """Return the target for the coefficient `name`. Raises `CalibrationError` for an unknown name."""
+    """Return a function for the variances of the coefficient `name` by source, shape (1, sources).
+
+    Raises `CalibrationError` for an unknown name.
+    """
     if name not in COEFFICIENTS:
         raise CalibrationError(f"no coefficient {name!r}; choose from {', '.join(COEFFICIENTS)}")
     index = COEFFICIENTS.index(name)
@@ -300,10 +303,10 @@ def of_coefficient(name: str) -> Target:
 
 
 def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Target:
-    """Return the target for an acceleration of `magnitude_g` measured in any direction.
+    """Return a function for the variances of a measured acceleration by source, (directions, sources).
 
-    The target is the root sum of squares of the three components' uncertainties, or with `modulus` the
-    uncertainty of the modulus. The variance is convex in the magnitude, so smaller magnitudes are covered.
+    They are sums over three components or, with `modulus`, variances of the modulus; with `reading`, they
+    include the errors of the reading. They are convex in `magnitude_g`, so smaller magnitudes are covered.
     """
     force = magnitude_g * directions(_DIRECTIONS)
 
@@ -330,14 +333,14 @@ class Limit:
 
     @property
     def verdict(self) -> Literal["limit", "no limit", "cannot be reached"]:
-        """The kind of limit."""
+        """The kind of limit: finite, infinite or None `u`."""
         if self.u is None:
             return "cannot be reached"
         return "no limit" if math.isinf(self.u) else "limit"
 
     @property
     def stated(self) -> float | None:
-        """The limit as a bench file states it: half-width (rectangular), or k standard deviations (normal)."""
+        """The limit as bench files state it, half-width or k standard deviations; None unless `u` is finite."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -382,7 +385,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point; `sizes` are as in `by_point`."""
+        """Return k u of the target at the worst point; for `sizes` see `by_point`, None is {}."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -396,7 +399,7 @@ class Requirement:
         return reached <= self.accuracy * (1.0 + _ROUNDING)
 
     def shares(self) -> dict[str, float]:
-        """Return each source's fraction of the variance at the worst point, for the sizes in the bench file."""
+        """Return each source's fraction of the variance at the worst point, for the u in the bench file."""
         total = float(self._own.sum())
         return {s.name: float(v) / total for s, v in zip(self.sources, self._own, strict=True)}
 

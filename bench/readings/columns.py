@@ -339,7 +339,7 @@ class Rail:
 
 
 def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
-    """Return the rails of a reading by name: the means of two measurements, before and after the reading."""
+    """Return the means of the measurements before and after a reading, for rails in both of them, by name."""
     return {
         name: Rail(
             (rail.voltage_v + after[name].voltage_v) / 2.0,

@@ -175,8 +175,8 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        The channel's `state` is from -1 to 1; at the start of a mounting it is 0, in the middle of the play.
-        `change` is half the difference between the states after starts at 1 and at -1. Raises `ValueError` if
+        `size` and `start` are parameters. `state` is the function of this module for a start at 0; `change` is
+        half the difference between its values for starts at 1 and at -1. Raises `ValueError` if
         `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
@@ -196,7 +196,7 @@ def state(conditions: Conditions, width_g: float, start: float = 0.0) -> Floats:
     """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
     `start` is the position at the start of each mounting. Rows without an angle or in an unknown installation
-    have 0 and do not count as settings. The result is cached in the conditions.
+    have 0 and do not affect later rows. The result is cached in the conditions.
     """
     kept, key = conditions.memory, ("hysteresis", width_g, start)
     if key not in kept:
