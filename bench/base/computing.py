@@ -60,7 +60,7 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 def one_thread() -> None:
     """Limit linear algebra to one thread, because one thread is faster for small matrices.
 
-    A number of threads that the environment already sets stays. Call this function before numpy is imported.
+    Environment variables that are already set are kept. Call this function before numpy is imported.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")

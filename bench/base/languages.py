@@ -189,7 +189,7 @@ class Catalogue:
         self.translate: Callable[..., str] = lru_cache(maxsize=20000)(self._translate)
 
     def number(self, text: str) -> str:
-        """Return a text with the decimal sign of the language in its decimal numbers, not in versions."""
+        """Return a text with the decimal sign of the language in decimal numbers, not version numbers."""
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:

@@ -95,9 +95,9 @@ def explained(
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the error sentence for an unknown or misplaced `word`; `what` says what the word is ("key").
+    """Return the error sentence for a `word` that is misplaced or not in `known`; `what` is its kind ("key").
 
-    For an unknown word it suggests the nearest in `known`.
+    For an unknown word the sentence suggests the nearest known word.
     """
     if word in known:
         return f"'{word}' does not fit the other keys here; remove it or them"

@@ -170,9 +170,9 @@ class Stages:
         )
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
-        """Return the readings (n, 3) after the effect `new` replaces the effect `old` of the model.
+        """Return the readings in V, shape (n, 3), after the effect `new` replaces the effect `old`.
 
-        With None for `old`, the effect `new` is added to the model.
+        Both act at the same stage. With None for `old`, the effect `new` is added to the model.
         """
         model, stage = self._model, new.effect.stage
         change = model.addition(new, self._signals[stage], *self._given)

@@ -333,7 +333,7 @@ def _ranges(steps: frozenset[int]) -> list[list[int]]:
 class Chooser:
     """Chooses the points of `pool` that reach the goals `aim` on the bench `stand`.
 
-    At least `repeats` of the chosen points repeat another point: mounting, angle and direction of approach.
+    At least `repeats` of the chosen points repeat mounting, angle and direction of approach of another point.
     """
 
     def __init__(self, pool: Pool, aim: Aim, stand: Stand, repeats: int = LEAST_REPEATS) -> None:

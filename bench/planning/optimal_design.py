@@ -287,7 +287,7 @@ class ExchangeDesign:
         self.counts[int(np.argmin(loss))] -= 1
 
     def exchange(self) -> None:
-        """Exchange visits for others as long as an exchange improves the score."""
+        """Move visits to other candidate settings as long as a move lowers the score."""
         for power in _POWERS if len(self._asked2) > 1 else _POWERS[:1]:
             score = float(self._score(self._variances(self.covariance()), power))
             while (better := self._exchanged(score, power)) < score:

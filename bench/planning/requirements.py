@@ -159,7 +159,7 @@ class Outlook:
 
     @property
     def open(self) -> list[str]:
-        """The directions in the null space other than `turns`, as text."""
+        """The directions in the null space of the fit, other than `turns`, as text."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
 
@@ -172,10 +172,11 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return the coefficients, and the stand angles `ANGLES` of each mounting, that these settings determine.
+    """Return which coefficients and stand angles these settings determine, and remedies for the rest.
 
-    Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
-    each installation is analysed. Raises `KeyError` for an installation that the model lacks.
+    The stand angles are `ANGLES` of each mounting; effects of the model are unknowns, too. If there are more
+    than `MOST_MOUNTINGS` mountings, only the first mounting in each installation is analysed. Raises
+    `KeyError` for an installation that the model lacks.
     """
     settings = _distinct(settings)
     own = fitted(settings)
@@ -348,9 +349,10 @@ class Limit:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement: `k` standard uncertainties of the target must not exceed `accuracy`.
+    """A requirement: `k` standard uncertainties of a quantity must not exceed `accuracy`, in its unit.
 
-    The coefficients are estimated from the readings of `setup` by `estimator`.
+    `target` returns the variances of the quantity by point and source, for coefficients that `estimator`
+    finds from the readings of `setup`.
     """
 
     setup: Setup

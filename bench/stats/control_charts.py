@@ -179,9 +179,9 @@ class JudgedDeviations:
 
 
 def least_runs(basis: Basis, dimensions: int) -> int:
-    """Return the least number of runs in a baseline.
+    """Return the least number of runs in a baseline for control limits from `basis`.
 
-    A chart with limits from scatter alone needs more runs than coefficients.
+    Limits from scatter alone need more runs than coefficients.
     """
     return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
 
@@ -189,7 +189,7 @@ def least_runs(basis: Basis, dimensions: int) -> int:
 def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
     """Return the centre of a chart from baseline runs (…, m, p) with stated covariances (m, p, p).
 
-    Raises `CalibrationError` if the basis needs more runs.
+    Raises `CalibrationError` if control limits from `basis` need more runs.
     """
     runs, p = values.shape[-2:]
     if runs < (least := least_runs(basis, p)):
@@ -299,7 +299,7 @@ class ChartDesign:
 
     @property
     def each_arl(self) -> float:
-        """The average run length of one of the three statistics alone."""
+        """The average run length, between false alarms, of one of the three statistics alone."""
         return STATISTICS * self.arl
 
     @property
@@ -448,10 +448,10 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of lines fitted to coefficients (n, p) at times `years` (n,).
+    """Return the slopes of lines fitted to coefficients (n, p) at times `years` (n,), with u and p-values.
 
-    `u` (p,) is the standard uncertainty of each value, with `dof` degrees of freedom. `u_known` is the standard
-    uncertainty, per year, of a known drift that was already subtracted from the values.
+    `u` (p,) is the standard uncertainty of each value, with `dof` degrees of freedom. `u_known` is the
+    standard uncertainty, per year, of a known drift that was already subtracted from the values.
     """
     centred = years - years.mean()
     spread = float(centred @ centred)

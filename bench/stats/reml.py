@@ -193,12 +193,12 @@ class ComponentsAsked:
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Test the components that the model does not contain yet: all after the first `inside`.
 
-    The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
-    likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
-    and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
-    chi-square divided by nu; nu is chosen so that the variances agree (Satterthwaite, Biometrics Bull. 2 (1946)
-    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the first
-    variances are estimates.
+    The variances of the first `inside` components are estimates from the repeats alone, which do not maximise
+    the likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in
+    Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is
+    treated as chi-square divided by nu, with nu for equal variance (Satterthwaite, Biometrics Bull. 2 (1946)
+    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the
+    variances of the first components are estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])

@@ -91,7 +91,7 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Sizes:
-    """The accepted variances (runs, 4) of x, y, z and the setting, with degrees of freedom.
+    """The noise variances (runs, 4) of x, y, z and the head's setting, with degrees of freedom.
 
     `dof` (runs, 3) are the degrees of freedom of the channels. `p_equal` (runs,) is the p-value of the hypothesis
     that the channels have equal variances. If it is at least `EQUAL_P`, the run has one variance for all three

@@ -108,7 +108,7 @@ Weighed = tuple[SameLength, Floats, Floats, Floats]
 
 @dataclass(frozen=True)
 class Within:
-    """The values `y` (n,) of one coefficient, their stated variances (n,), and the design `of` contrasts."""
+    """The values `y` (n,) of one coefficient, their stated variances (n,), and the design of contrasts."""
 
     of: Histories
     y: Floats

@@ -301,7 +301,7 @@ class AppliedEffect:
     either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters; a missing shape has its default, any other missing one is 0."""
+        """Return the values of all parameters; missing shapes have their default, others are 0 if missing."""
         return {
             p.name: np.asarray(
                 self.values[p.name]
