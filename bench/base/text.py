@@ -140,7 +140,7 @@ def exact_duration(seconds: float) -> str:
 
 
 def degrees(angle_rad: float) -> str:
-    """Return an angle for display, rounded to a millionth of a degree: "45°"."""
+    """Return an angle for display, with at most six significant digits and six decimals: "45°"."""
     return f"{round(math.degrees(angle_rad), 6):g}°"
 
 

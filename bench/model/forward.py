@@ -76,7 +76,7 @@ class ForwardModel:
     def angles(
         self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats, block: Block
     ) -> tuple[Floats, Floats]:
-        """Return the stand angles (n, 5) and head angles (n,) of each reading with the additions of all effects."""
+        """Return stand angles (n, 5) and head angles (n,) of each reading, rad, with all effects added."""
         stand = stand_rad + self._additions(Stage.STAND, stand_rad, conditions, block)
         return stand, angle_rad + self._additions(Stage.HEAD_ANGLE, angle_rad, conditions, block)
 

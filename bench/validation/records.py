@@ -179,7 +179,7 @@ def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
 
 
 def changed_copy(run: Run) -> Run:
-    """Copy a run within its folder of runs, change one digit of a reading, and return the copy."""
+    """Copy a run within its folder of runs, add a digit to a reading, and return the copy."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 

@@ -277,9 +277,9 @@ class LaggedEffect(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (size_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting.
+        """Return K_ii (size_i T + start_i exp(-t / lag)), times a_i if `of_scale`, in volts, shape (n, 3).
 
-        With `of_scale` the result is multiplied by a_i.
+        The time t is since the first reading of the mounting.
         """
         lag_s, acts = float(values["lag"]), seen.signal if self.of_scale else 1.0
         warmth = warmth_behind(seen.conditions, lag_s)
@@ -307,7 +307,7 @@ class ThermalBias(LaggedEffect):
 
 
 class ThermalScale(LaggedEffect):
-    """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
+    """Scale-factor change k_T T a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
     of_scale = True
@@ -382,7 +382,7 @@ class BiasDrift(BlockEffect):
 
 
 class ScaleDrift(BlockEffect):
-    """Linear drift r t K_ii a_i of the scale factor, where t is the time since the start of the run."""
+    """Linear drift r t a_i of the scale factor, where t is the time since the start of the run."""
 
     name = "scale_drift"
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)

@@ -234,7 +234,7 @@ class BlockSlip(StandEffect):
 
 
 class MountingCreep(StandEffect):
-    """The mounting angles approach their final values as exp(-t / tau), where t is the time since mounting."""
+    """The mounting angles settle as exp(-t / tau), with t since the first reading of the mounting."""
 
     name = "mounting_creep"
     shows_on = ("bracket",)
