@@ -209,7 +209,7 @@ class SettingPool:
 
 
 class ExchangeDesign:
-    """A design: the number of visits to each candidate setting, `counts` (c,), changed by the methods.
+    """A design: the number of visits to each candidate setting, `counts` (c,). Methods change it in place.
 
     The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the
     squared ratios of u to the required u of its `goals`; a lower score is better.

@@ -68,8 +68,8 @@ class PlannedPoint:
 class PlannedMounting:
     """A mounting of the block with its points in the order of the plan.
 
-    `mount_step` is the index of the step that mounts the block, None if it stays mounted. `steps` are this step
-    and others outside the points, such as levelling and soaking; they take `time_s` seconds in all.
+    `mount_step` is the index of the step that mounts the block, None if it stays mounted. `steps` are this
+    step and others outside the points, such as levelling and soaking; they take `time_s` seconds in all.
     """
 
     mount: Mounting

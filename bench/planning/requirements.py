@@ -334,14 +334,14 @@ class Limit:
 
     @property
     def verdict(self) -> Literal["limit", "no limit", "cannot be reached"]:
-        """The kind of limit: finite, infinite or None `u`."""
+        """The kind of limit: "no limit" for an infinite `u`, "cannot be reached" for None."""
         if self.u is None:
             return "cannot be reached"
         return "no limit" if math.isinf(self.u) else "limit"
 
     @property
     def stated(self) -> float | None:
-        """The limit as bench files state it, half-width or k standard deviations; None unless `u` is finite."""
+        """The limit as in a bench file, half-width or k standard deviations; None unless `u` is finite."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -447,10 +447,11 @@ class Requirement:
         """Return standard uncertainties of the named sources with which the accuracy is just met.
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
-        judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        the ratio of its new u to its u in the bench file. The total cost is least if the parts are proportional to
-        (weight × present contribution)^(2/3). A source that stays below its part at any u has no limit; the
-        remaining sources share its part. Raises `CalibrationError` if nothing is left to share.
+        judged at the point where it contributes most. With weights (default 1), the cost of a source is its
+        weight divided by the ratio of its new u to its u in the bench file. The total cost is least for parts
+        in proportion to (weight × present contribution)^(2/3). A source that stays below its part at any u
+        has no limit; the remaining sources share its part. Raises `CalibrationError` if nothing is left to
+        share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

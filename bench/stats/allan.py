@@ -25,7 +25,7 @@ LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079,
 class AllanCurve:
     """An Allan curve: `deviation` (k,) at averaging times `tau_s` (k,).
 
-    `multiples` (k,) are the averaging times in numbers of samples; `samples` is the length of the record.
+    `multiples` (k,) are the averaging times in numbers of samples; `samples` is the number of valid samples.
     """
 
     tau_s: Floats

@@ -175,7 +175,7 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        `size` and `start` are parameters. `state` is the function of this module for a start at 0; `change` is
+        `size` and `start` are parameters. `state` is this module's function for a start at 0; `change` is
         half the difference between its values for starts at 1 and at -1. Raises `ValueError` if
         `Conditions.turns` is None.
         """
