@@ -1,4 +1,4 @@
-"""Array types, channel names and unit sizes for all packages."""
+"""Array types, channel names, units of angle and time, and functions of arrays for all packages."""
 
 from __future__ import annotations
 

@@ -39,9 +39,9 @@ def heard_by(listener: Listener | None) -> Iterator[None]:
 
 
 def tracked(parts: Iterable[_T], what: str, total: int | None = None) -> Iterator[_T]:
-    """Yield the parts of the computation `what`; report progress to the listener if there is more than one part.
+    """Yield each of `parts`, and report the progress of the computation `what` to the listener of `heard_by`.
 
-    `total` states the number of parts if `len(parts)` is not defined.
+    `total` is the number of parts if `len(parts)` is not defined. Fewer than two parts give no report.
     """
     count = len(parts) if isinstance(parts, Sized) else total or 0
     listener = _listener.get() if count > 1 else None
@@ -60,7 +60,7 @@ THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS", 
 def one_thread() -> None:
     """Limit linear algebra to one thread, because one thread is faster for small matrices.
 
-    A number of threads that the environment already sets stays. Call this function before numpy is imported.
+    Environment variables that are already set are kept. Call this function before numpy is imported.
     """
     for name in THREADS:
         os.environ.setdefault(name, "1")

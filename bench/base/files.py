@@ -58,8 +58,8 @@ def open_regular(path: Path, mode: Literal["rb", "ab"] = "rb") -> BinaryIO:
 def read_regular(path: Path, most_bytes: int | None = None) -> bytes:
     """Return the content of a regular file; never open or wait for a pipe or device.
 
-    Raises `OSError`, whose `strerror` says that the path is a folder, a pipe or the like, or that the file has over
-    `most_bytes`.
+    Raises `OSError`, whose `strerror` says that the path is a folder, a pipe or the like, or that the file
+    has more than `most_bytes` (None: no limit).
     """
     with open_regular(path) as file:
         content = file.read() if most_bytes is None else file.read(most_bytes + 1)

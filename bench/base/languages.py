@@ -112,10 +112,7 @@ def is_numeric(text: str) -> bool:
 
 
 def local_number(text: str) -> str:
-    """Return a text of numbers and units with the decimal sign of the current language.
-
-    Return any other text unchanged.
-    """
+    """Return a text of numbers and units with the local decimal sign, and any other text unchanged."""
     name = language()
     return text if name == ENGLISH or not is_numeric(text) else catalogue(name).number(text)
 
@@ -197,10 +194,7 @@ class Catalogue:
         self.translate: Callable[..., str] = lru_cache(maxsize=20000)(self._translate)
 
     def number(self, text: str) -> str:
-        """Return a text with the decimal sign of the language in each decimal number.
-
-        Version numbers stay unchanged.
-        """
+        """Return a text with the decimal sign of the language in decimal numbers, not version numbers."""
         return _DECIMAL.sub(rf"\1{self.decimal}\2", text)
 
     def fill(self, entry: Entry, values: Mapping[str, str], count: float | None = None) -> str:

@@ -30,7 +30,7 @@ _NEGATIVE: Final = re.compile(r"(?<![\w.-])-(?=\d)")
 
 @dataclass(frozen=True)
 class Scale:
-    """A printed unit and its size: the printed number is the SI number divided by `size`."""
+    """A unit for printed numbers: the printed number is the number in SI units divided by `size`."""
 
     unit: str
     size: float
@@ -64,7 +64,10 @@ def read_number(text: str) -> float:
 
 
 def places(u: float) -> int:
-    """Return the number of decimals that show two significant digits of `u`; negative if u is 100 or more."""
+    """Return the number of decimals for two significant digits of `u`, negative from 100 on.
+
+    It is `PLACES_WITHOUT_U` unless `u` is finite and above 0.
+    """
     if not math.isfinite(u) or u <= 0.0:
         return PLACES_WITHOUT_U
     return min(MOST_PLACES, 1 - int(f"{u:.1e}".split("e")[1]))
@@ -108,7 +111,7 @@ def uncertainty(u: float) -> str:
 
 
 def figures(value: float, digits: int = 3, *, down: bool = False, up: bool = False) -> str:
-    """Return a number with this many significant digits, without an exponent: "1860".
+    """Return a number with this many significant digits; a large number has no exponent: "1860".
 
     With `down`, a positive number is rounded down, for a limit that must not be exceeded. With `up`, a positive
     number is rounded up.

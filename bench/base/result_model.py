@@ -9,7 +9,7 @@
 
     Line(slope=1.0, u=math.nan).to_dict()        # {"slope": 1.0, "u": None}
 
-A description that does not fit the line of its member is the text below it; the schema shows both alike. An
+A long description may stand as a text below the member instead; the schema shows it in the same way. An
 optional member has a default, and is left out of the JSON unless set. `from_object` makes a model from the
 attributes of a computed object, nested models included:
 

@@ -155,7 +155,10 @@ class TranslatedTemplates(Extension):
         environment.globals.update(_text=_text, _shown=shown)
 
     def preprocess(self, source: str, name: str | None, filename: str | None = None) -> str:
-        """Return the source of a template with its texts replaced by look-ups; style sheets are unchanged."""
+        """Return the source of a template with its texts replaced by look-ups.
+
+        Sources that begin with `ENGLISH_ONLY`, and templates other than HTML, are unchanged.
+        """
         if source.startswith(ENGLISH_ONLY) or (name is not None and ".html" not in name):
             return source
         source = source.replace('<html lang="en">', f'<html lang="{language()}">')

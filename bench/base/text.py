@@ -67,7 +67,7 @@ def civil_minute(time: str) -> str:
 
 
 def cause_of(error: Exception) -> str:
-    """Return what is wrong in words for a message, without Python's names of types, error numbers and paths."""
+    """Return the cause of an error for a message, without Python's type names, error numbers and paths."""
     match error:
         case KeyError():
             return f"{error} is missing"
@@ -140,7 +140,7 @@ def exact_duration(seconds: float) -> str:
 
 
 def degrees(angle_rad: float) -> str:
-    """Return an angle for display, rounded to a millionth of a degree: "45°"."""
+    """Return an angle for display, with at most six significant digits and six decimals: "45°"."""
     return f"{round(math.degrees(angle_rad), 6):g}°"
 
 

@@ -95,9 +95,9 @@ def explained(
 
 
 def unknown_word(word: str, known: list[str], what: str) -> str:
-    """Return the error sentence for an unknown or misplaced `word`; `what` says what the word is ("key").
+    """Return the error sentence for a `word` that is misplaced or not in `known`; `what` is its kind ("key").
 
-    For an unknown word it suggests the nearest in `known`.
+    For an unknown word the sentence suggests the nearest known word.
     """
     if word in known:
         return f"'{word}' does not fit the other keys here; remove it or them"
@@ -389,16 +389,13 @@ class FileModel(BaseModel):
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
         """Yield the inconsistencies between parts of the file, each as (place, sentence); none by default.
 
-        `data` is the file as written; parts that are invalid for another reason are skipped.
+        `data` is the parsed file before validation. Parts that are invalid by themselves are skipped.
         """
         return ()
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use instead of this one; none by default.
-
-        An example is a model for each driver.
-        """
+        """Return the models that a file may use instead of this one, as one for each driver; default none."""
         return ()
 
 
@@ -520,12 +517,12 @@ Model = TypeVar("Model", bound=FileModel)
 
 
 def load_validated(path: Path, model: type[Model]) -> Model:
-    """Parse a file and return it as an instance of `model`. Raises `FileMistakes` with all its mistakes."""
+    """Parse a file and return it as an instance of `model`. Raises `FileMistakes` like `validated`."""
     return validated(load_document(path), model)
 
 
 def validated(document: Document, model: type[Model], context: Any = None) -> Model:
-    """Return a document's data as an instance of `model`. Raises `FileMistakes` with all its mistakes.
+    """Return a document's data as an instance of `model`. Raises `FileMistakes` with up to `MOST_TOLD` lines.
 
     The validators of `model` receive the `context` (`pydantic.ValidationInfo`).
     """

@@ -122,10 +122,7 @@ class Conditions:
 
     @property
     def remounted(self) -> Mask:
-        """The mask (n,) of the rows that begin a mounting.
-
-        These are the first row, and each row whose mounting differs from that of the row before.
-        """
+        """The mask (n,) of the first row, and of each row in another mounting than the row before."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
 
     @cached_property
@@ -187,9 +184,9 @@ class Conditions:
 
     @cached_property
     def above_nominal_v(self) -> Floats:
-        """The voltage of each rail minus its nominal voltage, V, shape (n, rails); zero if no row has a voltage.
+        """The voltage of each rail minus its nominal voltage, V, shape (n, rails); (n, 0) without rails.
 
-        Rows without a voltage are interpolated in time.
+        Rows without a voltage are interpolated in time; a rail without any voltage has zeros.
         """
         if self.supply_v is None:
             return np.zeros((len(self), 0))
@@ -208,9 +205,9 @@ class Conditions:
         return np.where(known, values, between)
 
     def levels(self) -> dict[tuple[int, int], tuple[float, float]]:
-        """Return each stand angle that the level showed, with its standard uncertainty, rad.
+        """Return each stand angle measured with the level, and its standard uncertainty, rad.
 
-        The keys are (index of the mounting, column of the stand angle).
+        The keys are (index of the mounting, column of `STAND_ANGLES`). Without level readings there are none.
         """
         if self.level_rad is None:
             return {}

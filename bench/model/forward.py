@@ -17,7 +17,7 @@ _UNKNOWN_TURN = np.full((3, 3), np.nan)
 
 @dataclass(frozen=True)
 class ForwardModel:
-    """A forward model: installations by label, and the effects that it contains beyond the paper's own terms.
+    """A forward model: the paper's model, with installations by label and additional effects.
 
     `name` labels the model in results: "paper" without effects, else the name in the model file. The rows of
     `conditions` must be in the order of measurement, because an effect may depend on earlier rows.
@@ -76,7 +76,7 @@ class ForwardModel:
     def angles(
         self, conditions: Conditions, stand_rad: Floats, angle_rad: Floats, block: Block
     ) -> tuple[Floats, Floats]:
-        """Return the stand angles (n, 5) and head angles (n,) of each reading with the additions of all effects."""
+        """Return stand angles (n, 5) and head angles (n,) of each reading, rad, with all effects added."""
         stand = stand_rad + self._additions(Stage.STAND, stand_rad, conditions, block)
         return stand, angle_rad + self._additions(Stage.HEAD_ANGLE, angle_rad, conditions, block)
 
@@ -160,16 +160,19 @@ class Stages:
         self.readings = self._read(self._voltage_v)
 
     def of(self, block: Block) -> Floats:
-        """Return the readings (n, 3) of another block, if no effect of the model changes the force."""
+        """Return the readings in V, shape (n, 3), of another block at the same specific force.
+
+        The model must have no effect before the output of the block. `voltage_v` is left out of account.
+        """
         conditions, _ = self._given
         return self._model.voltmeter_readings(
             self._model.output(self._force, conditions, block), conditions, block
         )
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
-        """Return the readings (n, 3) after the effect `new` replaces the effect `old` of the model.
+        """Return the readings in V, shape (n, 3), after the effect `new` replaces the effect `old`.
 
-        With None for `old`, the effect `new` is added to the model.
+        Both act at the same stage. With None for `old`, the effect `new` is added to the model.
         """
         model, stage = self._model, new.effect.stage
         change = model.addition(new, self._signals[stage], *self._given)

@@ -49,9 +49,9 @@ _OF_ONE_MOUNTING: Final = 9
 class TimeOutlook:
     """Simulated runs, (draws,) each: bench time (s), number of settings, and whether the goals were reached.
 
-    `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the noise
-    to the noise stated in the bench file; `learned` says whether it was learned from the bench. `has_goal` is
-    False if only a time limit was given.
+    `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the
+    noise to the noise stated in the bench file; `learned` says whether past runs of the bench gave this
+    ratio. `has_goal` is False if only a time limit was given.
     """
 
     time_s: Floats
@@ -69,7 +69,7 @@ class TimeOutlook:
 
 
 def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
-    """Simulate runs whose noise is `scale` times the noise stated in the bench file."""
+    """Return the results of `draws` simulated runs with `scale` times the noise stated in the bench file."""
     rng = np.random.default_rng(seed)
     known: dict[Any, NextPoints] = {}
     drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
@@ -218,12 +218,13 @@ TIME: Final = "time"
 class Standing:
     """The state of an adaptive run, as its record shows it.
 
-    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. `taken` holds the
-    first step of each measured point, `done` how often each site was measured; `elapsed_s` is the bench time.
-    `refused` and `refused_mounts` are the sites and mountings that the operator skipped. After a remount of the
-    block, `now` maps the planned mountings to the mountings in use. `reached` is the progress towards the goals,
-    empty until the readings determine the coefficients. `apart` are sites at which further readings would
-    distinguish the possible causes of a misfit.
+    `visit` is the index of the present mounting among the pool's mountings, -1 before the first. A site is a
+    setting of the head in a mounting (`Site`). `taken` holds the index of the first step of each measured
+    point, `done` the number of visits to each site; `elapsed_s` is the bench time, `scale` the noise.
+    `refused` and `refused_mounts` are the sites and mountings that the operator skipped. After a remount of
+    the block, `now` maps the planned mountings to the mountings in use. `reached` is the progress towards the
+    goals, empty until the readings determine the coefficients. Readings at the sites `apart` would
+    distinguish possible causes of a misfit.
     """
 
     visit: int = -1
@@ -252,14 +253,15 @@ class Standing:
 class NextPoints:
     """The next points to measure, in the mounting with index `visit`; none if `stop` gives a reason to stop.
 
-    `left_out` are the steps that the run omits as unnecessary; `taken_up` are steps of the present mounting that
-    were omitted before and are needed now. `now` is the goal furthest from being reached; `after` and `end` are its
-    expected states after these points and at the end of the run. `settings` counts the points measured so far,
-    `repeats` counts those of them that repeat a site. `next_s` is the time of the next points. `more` is the
-    expected number of points until the end, and `more_s` the time, both with the next points; the time
-    includes `rest_s`, the remaining time of the steps that no choice affects. `pool_end` is the step after
-    the last point. `not_needed` counts the points that a stopped run has not measured. `telling_apart` says
-    that points were chosen to distinguish the possible causes of a misfit.
+    `left_out` are the steps that the run omits as unnecessary; `taken_up` are the steps of the next points in
+    the present mounting, which may have been omitted before. `now`, `after` and `end` are the goals furthest
+    from being reached: at present, and expected after these points and at the end of the run; None if the
+    readings do not determine the coefficients. `settings` is the number of points measured so far, `repeats`
+    the number of repeats among them. `next_s` is the time of the next points. `more` points and the time
+    `more_s` are expected from now to the end. This time includes `rest_s`, the remaining time of the steps
+    that no choice affects. `pool_end` is the step after the last point. `not_needed` is the number of points
+    that a stopped run has not measured. `telling_apart` says that points were chosen to distinguish the
+    possible causes of a misfit.
     """
 
     visit: int
@@ -331,7 +333,7 @@ def _ranges(steps: frozenset[int]) -> list[list[int]]:
 class Chooser:
     """Chooses the points of `pool` that reach the goals `aim` on the bench `stand`.
 
-    At least `repeats` of the points repeat a site.
+    At least `repeats` of the chosen points repeat mounting, angle and direction of approach of another point.
     """
 
     def __init__(self, pool: Pool, aim: Aim, stand: Stand, repeats: int = LEAST_REPEATS) -> None:
@@ -390,7 +392,7 @@ class Chooser:
         ]
 
     def task(self, standing: Standing) -> DesignTask:
-        """Return the design task for the remainder of the run."""
+        """Return the input of the design (`enough`) for the remainder of the run."""
         reads: dict[Site, int] = dict.fromkeys(standing.done, 1)
         seconds: dict[Site, float] = {}
         for point in self.pool.points:

@@ -52,7 +52,7 @@ class Goal:
         return float(np.einsum("ki,ij,kj->", self.functionals, covariance, self.functionals))
 
     def u(self, covariance: Floats) -> float:
-        """Return the standard uncertainty of the goal for a covariance (12, 12) of the coefficients."""
+        """Return the standard uncertainty, with the floor, for a covariance (12, 12) of the coefficients."""
         return float(np.sqrt(self.variance(covariance) + self.floor))
 
     def ratio(self, covariance: Floats) -> float:
@@ -60,14 +60,14 @@ class Goal:
         return self.u(covariance) / self.asked
 
     def relaxed(self, endless: float) -> Goal:
-        """Return a loose goal with a required u of at least twice the u of infinitely many readings.
+        """Return the goal; if it is loose, with a required u of at least twice the square root of `endless`.
 
-        `endless` is the variance that infinitely many readings would give. Other goals are returned unchanged.
+        `endless` is the variance of the goal that infinitely many readings would give.
         """
         return replace(self, asked=max(self.asked, 2.0 * float(np.sqrt(endless)))) if self.loose else self
 
     def tightened(self, wider2: float) -> Goal:
-        """Return the goal with its permitted variance in excess of the floor divided by `wider2`."""
+        """Return a goal with a lower required u: its square minus the floor is divided by `wider2`."""
         return replace(self, asked=float(np.sqrt(self.floor + (self.asked**2 - self.floor) / wider2)))
 
 
@@ -121,7 +121,7 @@ def delta_g_goals(
 
 
 def modulus_goals(block: Block, magnitude_g: float, asked_g: float) -> list[Goal]:
-    """Return goals u = `asked_g` for the modulus of a specific force up to `magnitude_g`, in many directions.
+    """Return goals that require u = `asked_g` of the modulus of a specific force, in many directions.
 
     The variance is convex in the magnitude, so goals at zero and at `magnitude_g` cover all magnitudes between.
     """
@@ -209,10 +209,10 @@ class SettingPool:
 
 
 class ExchangeDesign:
-    """A design: the number of visits to each candidate setting, `counts` (c,). Moves change it by one.
+    """A design: the number of visits to each candidate setting, `counts` (c,). Methods change it in place.
 
-    The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the squared
-    ratios of u to the required u of its `goals`; a lower score is better.
+    The counts stay between `least` and `most` (c,), if given. The score of a design is a power mean of the
+    squared ratios of u to the required u of its `goals`; a lower score is better.
     """
 
     def __init__(
@@ -242,7 +242,7 @@ class ExchangeDesign:
         return int(self.counts.sum())
 
     def covariance(self, counts: Floats | Ints | None = None) -> Floats:
-        """Return the joint covariance (p, p) of coefficients and angles, for `counts` or the present visits."""
+        """Return the covariance (p, p) of coefficients and angles for `counts` (default: present)."""
         weight = self.counts if counts is None else counts
         information = self._prior + np.tensordot(weight.astype(np.float64), self._information_of, axes=1)
         scale = 1 / np.sqrt(np.diag(information))
@@ -269,7 +269,7 @@ class ExchangeDesign:
 
     @property
     def determines(self) -> bool:
-        """Whether all candidates together determine the coefficients even without their weak prior."""
+        """Whether readings at all candidates, and not just a weak prior, determine the coefficients."""
         covariance = self.covariance(np.full(len(self._rows), _MANY))
         return bool(np.max(np.diag(covariance)[:FIXED]) < _DETERMINED)
 
@@ -287,7 +287,7 @@ class ExchangeDesign:
         self.counts[int(np.argmin(loss))] -= 1
 
     def exchange(self) -> None:
-        """Exchange visits for others as long as an exchange improves the score."""
+        """Move visits to other candidate settings as long as a move lowers the score."""
         for power in _POWERS if len(self._asked2) > 1 else _POWERS[:1]:
             score = float(self._score(self._variances(self.covariance()), power))
             while (better := self._exchanged(score, power)) < score:
@@ -411,9 +411,9 @@ WITHOUT_NOISE: Final = 1e-4
 class Stand:
     """The bench for planning: model, block, and standard uncertainties `sizes` of the stand's errors (rad, V).
 
-    `known` is prior knowledge of stand and noise from other runs, used instead of `sizes`. `hidden` are error
-    sources in the combined u of a calibration that no reading reveals. `meters` is the index of the voltmeter of
-    each channel.
+    `known` is prior knowledge of stand and noise from other runs, used instead of `sizes`. `hidden` are the
+    error sources that no reading reveals; the combined u of a calibration includes them. `meters` holds the
+    index of the voltmeter of each channel.
     """
 
     model: ForwardModel
@@ -484,7 +484,7 @@ class Stand:
 
 
 def checks_of(goals: Sequence[Goal]) -> list[Setting]:
-    """Return the verification points that the goals judge: `judged` of each goal that has one, in order."""
+    """Return the verification points `judged` of the goals, in order, for goals with such a point."""
     return [goal.judged for goal in goals if goal.judged is not None]
 
 
@@ -504,9 +504,9 @@ def parts_of_goals(goals: Sequence[Goal], budget: Budget) -> list[dict[str, floa
 class Promise:
     """The covariances (12, 12) of the coefficients that a calibration of the planned readings will state.
 
-    `readings` is the covariance from the readings alone, `combined` the combined one. The floors of `goals` include
-    the errors that no reading reveals. Their u for the covariance `readings` is therefore the combined standard
-    uncertainty.
+    `readings` is the covariance from the readings alone; `combined` includes the errors that no reading
+    reveals. The floors of the `goals` include these errors, too. `goal.u(readings)` is therefore the combined
+    standard uncertainty of a goal.
     """
 
     goals: tuple[Goal, ...]

@@ -67,7 +67,7 @@ class Sites:
         ]
 
     def candidates(self, chosen: Sequence[int]) -> SettingPool:
-        """Return the candidate settings in the chosen mountings (indices of `mounts`), angle by angle."""
+        """Return the candidate settings: all angles in the first `chosen` mounting, then in the next."""
         rows = np.concatenate([np.arange(len(self.angle_rad)) + m * len(self.angle_rad) for m in chosen])
         columns = np.concatenate(
             [np.arange(FIXED), FIXED + np.flatnonzero(np.isin(self._mount_of_column, chosen))]
@@ -134,7 +134,7 @@ class ChosenPoints:
         return goal.u(self.promise.readings)
 
     def worst_by_name(self) -> list[Goal]:
-        """Return, for each goal name, the goal furthest from being reached; directions share one name."""
+        """Return, for each goal name, the goal furthest from being reached; many directions share a name."""
         found: dict[str, Goal] = {}
         for goal in self.promise.goals:
             known = found.setdefault(goal.name, goal)

@@ -68,8 +68,8 @@ class PlannedPoint:
 class PlannedMounting:
     """A mounting of the block with its points in the order of the plan.
 
-    `mount_step` is the index of the mounting step, None if the block stays mounted. `steps` are the other steps
-    that belong to the mounting, such as levelling and soaking, and take `time_s` seconds in all.
+    `mount_step` is the index of the step that mounts the block, None if it stays mounted. `steps` are this
+    step and others outside the points, such as levelling and soaking; they take `time_s` seconds in all.
     """
 
     mount: Mounting
@@ -231,7 +231,7 @@ class UntilGoal:
 
 @dataclass(frozen=True)
 class Aim:
-    """The goals of a run, and the limit of its bench time, s."""
+    """The goals of a run, and the limit of its bench time, s; None is no limit."""
 
     wanted: tuple[UntilGoal, ...]
     limit_s: float | None = None
@@ -297,9 +297,9 @@ def floors(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> list[Floor]:
 
 
 def with_hidden(aim: Aim, stand: Stand, whole: Stand, pool: Pool) -> Aim:
-    """Return the aim with `hidden` set for combined goals, and loose goals relaxed to attainable ones.
+    """Return the aim with `hidden` set in its combined goals; unchanged if it has no combined goal.
 
-    An aim without combined goals is returned unchanged.
+    Loose goals are relaxed (`Goal.relaxed`), so that a run can reach them.
     """
     if not any(wanted.combined for wanted in aim.wanted):
         return aim
@@ -318,7 +318,10 @@ MOST_SUBSETS: Final = 5
 
 @dataclass(frozen=True)
 class Grid:
-    """Sites that were or may be visited, and their derivatives `rows` (c, 3, p), whitened by the stated noise."""
+    """Sites that were or may be visited, and the derivatives `rows` (c, 3, p) of their readings.
+
+    The rows are whitened by the stated noise, divided by the square root of the number of readings per visit.
+    """
 
     sites: tuple[Site, ...]
     rows: Floats
@@ -365,12 +368,12 @@ class Visits(ExchangeDesign):
 
     @property
     def determined(self) -> bool:
-        """Whether the visits determine the coefficients, rather than their weak prior alone."""
+        """Whether the readings of the visits, and not just a weak prior, determine the coefficients."""
         return bool(np.max(np.diag(self.coefficient_covariance)) < _DETERMINED)
 
     @property
     def wider(self) -> float:
-        """The factor by which u grows because the noise is only estimated."""
+        """The factor on u because the noise is estimated from a limited number of readings."""
         return widening(self._freedom)
 
     @property
@@ -468,7 +471,7 @@ class DesignTask:
 
 @dataclass(frozen=True)
 class VisitDesign:
-    """A design: total visits (c,) to each site, including those done, and whether they reach the goals."""
+    """A design: all visits (c,) to each site, whether they reach the goals, and the time of new ones, s."""
 
     counts: Ints
     reached: bool

@@ -87,7 +87,7 @@ class Cost:
 
     @classmethod
     def of_plan(cls, plan: Plan, line_hz: float = 50.0) -> Cost:
-        """Return the time of an additional setting and of an additional mounting in a plan."""
+        """Return the time of an additional setting and of an additional mounting in a plan; `once_s` is 0."""
         reading_s = next((plan.step_duration_s(s, line_hz) for s in plan.steps if isinstance(s, Read)), 0.0)
         setting_s = plan.operator_time.turn_s + _settling_s(plan) + reading_s
         return cls(setting_s, plan.operator_time.mount_s)
@@ -159,7 +159,7 @@ class Outlook:
 
     @property
     def open(self) -> list[str]:
-        """The directions in the null space other than `turns`, as text."""
+        """The directions in the null space of the fit, other than `turns`, as text."""
         return [d.text() for d in self.found.directions if d.kind is not DirectionKind.TURN]
 
 
@@ -172,10 +172,11 @@ class _Candidate:
 
 
 def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost: Cost) -> Outlook:
-    """Return the coefficients, and the stand angles `ANGLES` of each mounting, that these settings determine.
+    """Return which coefficients and stand angles these settings determine, and remedies for the rest.
 
-    Effects of the model are unknowns, too. If there are more than `MOST_MOUNTINGS` mountings, only the first in
-    each installation is analysed. Raises `KeyError` for an installation that the model lacks.
+    The stand angles are `ANGLES` of each mounting; effects of the model are unknowns, too. If there are more
+    than `MOST_MOUNTINGS` mountings, only the first mounting in each installation is analysed. Raises
+    `KeyError` for an installation that the model lacks.
     """
     settings = _distinct(settings)
     own = fitted(settings)
@@ -277,9 +278,9 @@ _NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each
 
 
 def of_delta_g(*, reading: bool) -> Target:
-    """Return Δg at the verification points as the target.
+    """Return a function for the variances of Δg at the verification points by source, (points, sources).
 
-    With `reading`, the target includes the errors of the readings at these points.
+    With `reading`, they include the errors of the readings at these points.
     """
 
     def variances(budget: Budget) -> Floats:
@@ -292,7 +293,10 @@ def of_delta_g(*, reading: bool) -> Target:
 
 
 def of_coefficient(name: str) -> Target:
-    """Return the target for the coefficient `name`. Raises `CalibrationError` for an unknown name."""
+    """Return a function for the variances of the coefficient `name` by source, shape (1, sources).
+
+    Raises `CalibrationError` for an unknown name.
+    """
     if name not in COEFFICIENTS:
         raise CalibrationError(f"no coefficient {name!r}; choose from {', '.join(COEFFICIENTS)}")
     index = COEFFICIENTS.index(name)
@@ -300,10 +304,10 @@ def of_coefficient(name: str) -> Target:
 
 
 def of_acceleration(magnitude_g: float, *, reading: bool, modulus: bool) -> Target:
-    """Return the target for an acceleration of `magnitude_g` measured in any direction.
+    """Return a function for the variances of a measured acceleration by source, (directions, sources).
 
-    The target is the root sum of squares of the three components' uncertainties, or with `modulus` the
-    uncertainty of the modulus. The variance is convex in the magnitude, so smaller magnitudes are covered.
+    They are sums over three components or, with `modulus`, variances of the modulus; with `reading`, they
+    include the errors of the reading. They are convex in `magnitude_g`, so smaller magnitudes are covered.
     """
     force = magnitude_g * directions(_DIRECTIONS)
 
@@ -330,14 +334,14 @@ class Limit:
 
     @property
     def verdict(self) -> Literal["limit", "no limit", "cannot be reached"]:
-        """The kind of limit."""
+        """The kind of limit: "no limit" for an infinite `u`, "cannot be reached" for None."""
         if self.u is None:
             return "cannot be reached"
         return "no limit" if math.isinf(self.u) else "limit"
 
     @property
     def stated(self) -> float | None:
-        """The limit as a bench file states it: half-width (rectangular), or k standard deviations (normal)."""
+        """The limit as in a bench file, half-width or k standard deviations; None unless `u` is finite."""
         if self.u is None or math.isinf(self.u):
             return None
         return self.u / replace(self.source.distribution, limit=1.0).u
@@ -345,9 +349,10 @@ class Limit:
 
 @dataclass(frozen=True)
 class Requirement:
-    """A requirement: `k` standard uncertainties of the target must not exceed `accuracy`.
+    """A requirement: `k` standard uncertainties of a quantity must not exceed `accuracy`, in its unit.
 
-    The coefficients are estimated from the readings of `setup` by `estimator`.
+    `target` returns the variances of the quantity by point and source, for coefficients that `estimator`
+    finds from the readings of `setup`.
     """
 
     setup: Setup
@@ -382,7 +387,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point; `sizes` are as in `by_point`."""
+        """Return k u of the target at the worst point; for `sizes` see `by_point`, None is {}."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))
@@ -396,7 +401,7 @@ class Requirement:
         return reached <= self.accuracy * (1.0 + _ROUNDING)
 
     def shares(self) -> dict[str, float]:
-        """Return each source's fraction of the variance at the worst point, for the sizes in the bench file."""
+        """Return each source's fraction of the variance at the worst point, for the u in the bench file."""
         total = float(self._own.sum())
         return {s.name: float(v) / total for s, v in zip(self.sources, self._own, strict=True)}
 
@@ -442,10 +447,11 @@ class Requirement:
         """Return standard uncertainties of the named sources with which the accuracy is just met.
 
         Without weights, each named source receives an equal part of the variance that the unnamed sources leave,
-        judged at the point where it contributes most. With weights, the cost of a source is its weight divided by
-        the ratio of its new u to its u in the bench file. The total cost is least if the parts are proportional to
-        (weight × present contribution)^(2/3). A source that stays below its part at any u has no limit; the
-        remaining sources share its part. Raises `CalibrationError` if nothing is left to share.
+        judged at the point where it contributes most. With weights (default 1), the cost of a source is its
+        weight divided by the ratio of its new u to its u in the bench file. The total cost is least for parts
+        in proportion to (weight × present contribution)^(2/3). A source that stays below its part at any u
+        has no limit; the remaining sources share its part. Raises `CalibrationError` if nothing is left to
+        share.
         """
         own = {s.name: s for s in self.sources}
         parts = self._parts(names, weights)

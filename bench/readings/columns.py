@@ -89,8 +89,8 @@ def number(
 ) -> float:
     """Return the number in a column of the row `text`; NaN for an empty `optional` cell.
 
-    Raises `BadCell` with the text `expected` for any other text or number; `hint` is added if the number is not
-    from `least` to `most`.
+    Raises `BadCell` for anything else. Its message has `expected`, or says that the meter was overloaded; for
+    a number not from `least` to `most` it ends with `hint`.
     """
     cell = text.get(column, "")
     if cell == "" and optional:
@@ -175,8 +175,8 @@ LEVEL_COLUMNS: Final = (*ANGLES, *DRIFTS)
 def level_rad(extra: Mapping[str, Labels], rows: int) -> Floats | None:
     """Return α1, α2, u(α1), u(α2) of each row, rad, shape (rows, 4), NaN if unknown; None without level columns.
 
-    `extra` are the text columns of a table. Raises `ValueError` for a cell that is not a number, and for an angle
-    without its standard uncertainty.
+    `extra` are the text columns of a table. Raises `ValueError` for a cell that is not a number, for a row
+    with only some of the four values, and for a standard uncertainty that is not above 0.
     """
     if not all(name in extra for name in ANGLES):
         return None
@@ -339,7 +339,7 @@ class Rail:
 
 
 def between(before: Mapping[str, Rail], after: Mapping[str, Rail]) -> dict[str, Rail]:
-    """Return the rails of a reading by name: the means of two measurements, before and after the reading."""
+    """Return the means of the measurements before and after a reading, for rails in both of them, by name."""
     return {
         name: Rail(
             (rail.voltage_v + after[name].voltage_v) / 2.0,

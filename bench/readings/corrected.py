@@ -56,7 +56,7 @@ class Corrections:
 
 
 def corrected(readings: Readings, by: Corrections) -> Readings:
-    """Return the readings corrected and marked as corrected; readings already marked are returned unchanged.
+    """Return the readings corrected and marked as corrected; unchanged if already marked or `by` is empty.
 
     Only signals in volts are corrected. `resolution_read` keeps the resolution before correction.
     """
@@ -126,9 +126,9 @@ REFUTED: Final = 3.0
 
 @dataclass(frozen=True)
 class LevelReading:
-    """A reading of the level at bench time `time_s`, s: α1 and α2 with their standard uncertainties, arcsec.
+    """A reading of the level `time_s` seconds after the start of the run: α1 and α2 with their u, arcsec.
 
-    `mounting` is (series, installation); `levelled` says that the platform was levelled just before.
+    `mounting` is (series, installation); `levelled` says whether the platform was levelled just before.
     """
 
     time_s: float
@@ -139,9 +139,9 @@ class LevelReading:
 
 
 def with_levels(readings: Readings, seen: Sequence[LevelReading]) -> Readings:
-    """Return the readings with columns for the level; unchanged if no mounting was levelled.
+    """Return the readings with text columns of the platform's tilt; unchanged if no mounting was levelled.
 
-    `seen` are all level readings in the order of time.
+    `seen` are all level readings in the order of time. The angles of a mounting without levelling are empty.
     """
     found = {
         mounting: of for mounting in {s.mounting for s in seen} if (of := _mounting_level(seen, mounting))
@@ -250,7 +250,7 @@ class Wiring:
 
     @property
     def shown(self) -> str:
-        """The wiring in words: "x shows z, y shows x, z shows y"."""
+        """The wiring in words, without the signs: "x shows z, y shows x, z shows y"."""
         return ", ".join(f"{CHANNELS[i]} shows {CHANNELS[self.order.index(i)]}" for i in range(3))
 
 

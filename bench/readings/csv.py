@@ -389,7 +389,7 @@ def _listing(bad: list[str]) -> str:
 
 
 def write_csv(readings: Readings, path: Path) -> None:
-    """Write a readings file with all columns of the table; text columns are written unchanged."""
+    """Write a readings file with all columns of the table; `read_csv` returns its text columns unchanged."""
     path.write_text(format_csv(readings), encoding="utf-8", newline="")
 
 

@@ -250,13 +250,13 @@ class JoinedPart:
 
 
 def together(parts: Sequence[JoinedPart]) -> Readings:
-    """Return several tables joined into one, in order of time; if times are unknown or overlap, as given.
+    """Return several tables joined into one, with all times on one clock.
 
-    Series are renumbered to keep the mountings of different tables apart: the first table keeps its numbers, each
-    further table continues after the last. All times are put on one clock: with the real intervals if every table
-    has a start and the tables do not overlap, else with `BETWEEN_S` between tables. Rows without a time get one
-    from `Conditions.elapsed_s`. `Readings.began_s` holds the start of each run's clock; `notes` state the new
-    series and start of each table. Raises `ValueError` for tables in different units.
+    If every table has `began_s` and the tables do not overlap in time, they are joined in order of time at
+    their real intervals. Otherwise they keep the order given, with `BETWEEN_S` between them. Rows without a
+    time get one from `Conditions.elapsed_s`. The series numbers of each table continue those of the table
+    before it, so that mountings stay apart. `Readings.began_s` holds the start of each run's clock; `notes`
+    state the new series and start of each table. Raises `ValueError` for tables in different units.
     """
     units = {part.readings.unit: part.readings.source for part in parts}
     if len(units) > 1:

@@ -25,7 +25,7 @@ LONG_RECORD: Final = {0: (2.0 / 3.0, 1.0 / 3.0), -1: (0.852, 0.375), -2: (1.079,
 class AllanCurve:
     """An Allan curve: `deviation` (k,) at averaging times `tau_s` (k,).
 
-    `multiples` (k,) are the averaging times in numbers of samples; `samples` is the length of the record.
+    `multiples` (k,) are the averaging times in numbers of samples; `samples` is the number of valid samples.
     """
 
     tau_s: Floats
@@ -43,7 +43,7 @@ class AllanCurve:
         return np.array([max(_freedom(int(a), m, self.samples), 1.0) for m, a in rows], dtype=np.float64)
 
     def limits(self, freedom: Floats) -> tuple[Floats, Floats]:
-        """Return the lower and upper 95 % limits (k,) of `deviation`, by chi-square with `freedom` (k,)."""
+        """Return both ends (k,) of the 95 % intervals of `deviation`, by chi-square with `freedom` (k,)."""
         tail = (1.0 - CONFIDENCE) / 2.0
         low = self.deviation * np.sqrt(freedom / special.chdtri(freedom, tail))
         high = self.deviation * np.sqrt(freedom / special.chdtri(freedom, 1.0 - tail))
@@ -211,18 +211,18 @@ class NoiseTerms:
 
     @property
     def shown(self) -> Mask:
-        """Mask of the terms that the record shows, shape (5,)."""
+        """Mask of the significant terms: squares of more than `SHOWN` standard uncertainties, shape (5,)."""
         return self.squares > SHOWN * u_of(self.covariance)
 
     @property
     def u(self) -> Floats:
-        """Standard uncertainties of the terms shown, NaN for the others, shape (5,)."""
+        """Standard uncertainties of the significant terms, NaN for all other terms, shape (5,)."""
         value = np.where(self.shown, self.values, np.nan)
         return np.asarray(u_of(self.covariance) / (2.0 * value), dtype=np.float64)
 
     @property
     def upper(self) -> Floats:
-        """Upper limits of the terms at about 97.5 %, shape (5,)."""
+        """Upper limits of the terms at a one-sided level of about 97.5 %, shape (5,)."""
         return np.asarray(np.sqrt(self.squares + 2.0 * u_of(self.covariance)), dtype=np.float64)
 
     def deviation(self, tau_s: Floats | float) -> Floats:

@@ -179,9 +179,9 @@ class JudgedDeviations:
 
 
 def least_runs(basis: Basis, dimensions: int) -> int:
-    """Return the least number of runs in a baseline.
+    """Return the least number of runs in a baseline for control limits from `basis`.
 
-    A chart with limits from scatter alone needs more runs than coefficients.
+    Limits from scatter alone need more runs than coefficients.
     """
     return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
 
@@ -189,7 +189,7 @@ def least_runs(basis: Basis, dimensions: int) -> int:
 def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
     """Return the centre of a chart from baseline runs (…, m, p) with stated covariances (m, p, p).
 
-    Raises `CalibrationError` if the basis needs more runs.
+    Raises `CalibrationError` if control limits from `basis` need more runs.
     """
     runs, p = values.shape[-2:]
     if runs < (least := least_runs(basis, p)):
@@ -226,8 +226,8 @@ def judge(
     """Judge runs (…, n, p), in their order, with covariances (n, p, p) against a centre.
 
     With `smoothing` below 1, their EWMA is judged: Z_t = smoothing r_t + (1 - smoothing) Z_{t-1}, Z_0 = 0, where r
-    are the deviations from the centre. `shared` (n, p, q) is the effect on each run of q errors that all runs
-    share; each error equals its standard uncertainty. With `settled`, the EWMA has its asymptotic variance from the
+    are the deviations from the centre. `shared` (n, p, q) holds the changes of each run by q errors common to
+    all runs, one standard uncertainty each. With `settled`, the EWMA has its asymptotic variance from the
     first value on, as in published tables.
     """
     weight = 1.0 - smoothing
@@ -258,9 +258,9 @@ def judge(
 
 
 def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
-    """Test each run of a baseline (m, p) against the other runs of the baseline; return the p-values (m,).
+    """Return the p-values (m,) of a joint test of each run of a baseline (m, p) against all its other runs.
 
-    None if the other runs are too few.
+    Return None if these are fewer than `least_runs`.
     """
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:
@@ -289,8 +289,8 @@ DEFAULT_SMOOTHING: Final = 0.2
 class ChartDesign:
     """Design of a chart: average run length between false alarms, smoothing of the EWMA, basis of limits.
 
-    Each of the three statistics that can reject a run gets a third of the false-alarm rate, because the rates of
-    rare alarms add up.
+    Three statistics can reject a run: its T², the T² of the EWMA, and its short-term standard deviation. Each
+    gets a third of the false-alarm rate, because the rates of rare alarms add up.
     """
 
     arl: float = DEFAULT_ARL
@@ -299,7 +299,7 @@ class ChartDesign:
 
     @property
     def each_arl(self) -> float:
-        """The average run length of one of the three statistics alone."""
+        """The average run length, between false alarms, of one of the three statistics alone."""
         return STATISTICS * self.arl
 
     @property
@@ -308,16 +308,13 @@ class ChartDesign:
         return 1.0 / self.each_arl
 
     def alpha_ewma(self, dimensions: int) -> float:
-        """Return the chi-square tail probability at the limit of the EWMA's T².
-
-        At this limit the average run length is `each_arl`.
-        """
+        """Return the chi-square tail probability of the limit on the EWMA's T², whose ARL is `each_arl`."""
         return float(special.chdtrc(dimensions, mewma_limit(self.smoothing, self.each_arl, dimensions)))
 
     def alpha_single(self, dimensions: int) -> float:
         """Return the false-alarm probability per run of a single coefficient out of `dimensions`.
 
-        Their sum over all coefficients is the false-alarm probability of T².
+        It is the false-alarm probability of T² divided by `dimensions`.
         """
         return self.alpha / dimensions
 
@@ -371,12 +368,13 @@ def short_term(s: Floats, dof: Floats, baseline_s: Floats, baseline_dof: Floats)
 class Components:
     """The variability of each coefficient (p,) in a baseline of `runs` runs.
 
-    `noise` is the part from reading noise (level 1). `stated` is the u of one run from all errors that differ
-    between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom. `f` is the
-    squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the standard deviation
-    between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is the squared ratio for
-    all coefficients together, with `birge_dof` and two-sided p-value `birge_p`. `alike_p` is the p-value of the
-    hypothesis that the stated u of all coefficients is wrong by one common factor.
+    `noise` is the standard deviation from reading noise. `stated` is the u of one run from all errors that
+    differ between runs, `scatter` the standard deviation between runs, with `runs` - 1 degrees of freedom.
+    `f` is the squared ratio of `scatter` to `stated`; `p` is the one-sided p-value of `f`. `between` is the
+    standard deviation between runs in excess of `stated`; `between_most` is its upper 95 % limit. `birge2` is
+    the squared Birge ratio of all coefficients, with `birge_dof` degrees of freedom and the two-sided p-value
+    `birge_p`. `alike_p` is the p-value of the hypothesis that the stated u of all coefficients is wrong by
+    one common factor.
     """
 
     runs: int
@@ -450,10 +448,10 @@ class DriftSeen:
 def drift_of(
     years: Floats, values: Floats, u: Floats, dof: float, u_known: Floats | float = 0.0
 ) -> DriftSeen:
-    """Return the slopes of lines fitted to coefficients (n, p) at times `years` (n,).
+    """Return the slopes of lines fitted to coefficients (n, p) at times `years` (n,), with u and p-values.
 
-    `u` (p,) is the standard uncertainty of each value, with `dof` degrees of freedom. `u_known` is the standard
-    uncertainty, per year, of a known drift that was already subtracted from the values.
+    `u` (p,) is the standard uncertainty of each value, with `dof` degrees of freedom. `u_known` is the
+    standard uncertainty, per year, of a known drift that was already subtracted from the values.
     """
     centred = years - years.mean()
     spread = float(centred @ centred)

@@ -1,8 +1,9 @@
 """Crossed random effects of units and benches on one coefficient of many calibrations.
 
-value = mean of its group + unit effect + bench effect + excess + calibration error of stated u, all normal and
-independent. A group is a type of unit on a connected set of benches. The "sizes" are the standard deviations of
-unit effects, bench effects and excess; they maximise the restricted likelihood.
+value = mean of its group + unit effect + bench effect + excess scatter + calibration error of stated u, all
+normal and independent. A group is a type of unit on a connected set of benches. The excess scatter differs
+between calibrations. The "sizes" are the standard deviations of unit effects, bench effects and excess
+scatter; they maximise the restricted likelihood.
 
 There are many units and few benches. Units are eliminated one by one (Woodbury), which leaves a matrix of groups
 and benches (Schur complement). So the work is proportional to the number of values.
@@ -87,7 +88,7 @@ class Crossing:
 
     @cached_property
     def group(self) -> Ints:
-        """The group of each unit (U,): its type, on a connected set of benches."""
+        """The group of each unit (U,): units of one type on one connected set of benches form a group."""
         pair = self.kind * (int(self.component.max()) + 1) + self.component[self.bench]
         of_value = np.unique(pair, return_inverse=True)[1]
         group = np.zeros(self.units, dtype=np.int64)
@@ -112,13 +113,13 @@ class Crossing:
 
 @dataclass(frozen=True)
 class MixedModelEquations:
-    """The mixed model equations for groups and benches, solved at given `sizes`, with the units eliminated.
+    """The solved mixed model equations for T groups and B benches, with the units eliminated.
 
-    `sizes` (3,) are standard deviations of unit effects, bench effects and excess. `w` (n,) are weights; `W` (U,)
-    is the sum of the weights of each unit; `s` (U,) is the term that the elimination of each unit subtracts.
-    `lower` (T + B, T + B) is the Cholesky factor of the equations for T groups and B benches. The unknowns,
-    `solution` (T + B,), are the means of groups, then the bench effects divided by their standard deviation.
-    `likelihood` is the restricted log likelihood, up to a constant.
+    `sizes` (3,) are standard deviations of unit effects, bench effects and excess scatter. `w` (n,) are
+    weights; `W` (U,) is the sum of the weights of each unit. Elimination replaces w x by w (x - `s` sum(w
+    x)), with the sum over one unit and `s` (U,). `lower` (T + B, T + B) is the Cholesky factor of the
+    equations. The unknowns, `solution` (T + B,), are the means of groups, then the bench effects divided by
+    their standard deviation. `likelihood` is the restricted log likelihood, up to a constant.
     """
 
     crossing: Crossing
@@ -170,7 +171,7 @@ class MixedModelEquations:
         return np.asarray(weighed - self.w[:, None] * (self.s[:, None] * sums)[crossing.unit])
 
     def information(self, y: Floats) -> Floats:
-        """Return the average information (3, 3) of the variances of units, benches and excess."""
+        """Return the average information (3, 3) of the variances of units, benches and excess scatter."""
         crossing = self.crossing
         py = self.project(y[:, None])[:, 0]
         moved = np.stack(
@@ -191,10 +192,10 @@ def _sums(crossing: Crossing, weighed: Floats, size: float) -> Floats:
 
 
 def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> MixedModelEquations:
-    """Solve the equations for values `y` (n,) with stated variances `variance` (n,).
+    """Solve the mixed model equations for values `y` (n,) with stated variances `variance` (n,).
 
-    `sizes` (3,) are the standard deviations of unit effects, bench effects and excess. If that of the units is
-    infinite, the units are fixed effects, and only differences within units count.
+    `sizes` (3,) are the standard deviations of unit effects, bench effects and excess scatter. An infinite
+    one of units makes the unit effects fixed: only differences within units count.
     """
     w = 1.0 / (variance + sizes[EXCESS] ** 2)
     W = np.bincount(crossing.unit, w, crossing.units).astype(np.float64)
@@ -235,7 +236,7 @@ def solve(crossing: Crossing, y: Floats, variance: Floats, sizes: Floats) -> Mix
 
 @dataclass(frozen=True)
 class Crossed:
-    """The estimated standard deviations of unit effects, bench effects and excess for one coefficient.
+    """The estimated standard deviations of unit effects, bench effects and excess scatter of one coefficient.
 
     `at` are the equations solved at these standard deviations. `y` (n,) are the values minus `centre`, `variance`
     (n,) their stated variances. `variance_covariance` (3, 3) is the covariance of the squares of the estimated
@@ -250,7 +251,7 @@ class Crossed:
 
     @property
     def sizes(self) -> Floats:
-        """Standard deviations (3,) of unit effects, bench effects and excess."""
+        """Standard deviations (3,) of unit effects, bench effects and excess scatter."""
         return self.at.sizes
 
     @property
@@ -263,7 +264,7 @@ class Crossed:
     def bench(self) -> tuple[Floats, Floats]:
         """Effects of benches (B,) about the mean of their connected set, and their covariance (B, B).
 
-        The covariance includes the uncertainty of the estimated sizes.
+        The covariance includes the uncertainty of the estimated standard deviations.
         """
         crossing = self.at.crossing
         about = about_sets(crossing)
@@ -296,9 +297,8 @@ def fit(
 ) -> Crossed:
     """Return the standard deviations of greatest restricted likelihood for values (n,).
 
-    `variance` (n,) are the stated variances of the values. `without` is the index of a standard deviation that is
-    fixed at zero. With `units_fixed` only differences within units count, and the standard deviation of units is
-    infinite.
+    `variance` (n,) are the stated variances of the values. `without` is the index of a standard deviation
+    fixed at zero; None fixes none. With `units_fixed` that of units is infinite (see `solve`).
     """
     centre = float(np.median(values))
     y = values - centre
@@ -329,9 +329,9 @@ def fit(
 
 
 def most(found: Crossed, which: int) -> float:
-    """Return the upper 95 % limit of one standard deviation, by the profile likelihood.
+    """Return the upper 95 % limit of the standard deviation `which`, by the profile likelihood.
 
-    `which` is its index: unit, bench or excess.
+    `which` is `UNIT`, `BENCH` or `EXCESS`.
     """
     at = found.at
     fixed = np.isinf(found.sizes)
@@ -347,10 +347,10 @@ def most(found: Crossed, which: int) -> float:
 
 
 def scales_of(crossing: Crossing, y: Floats, variance: Floats) -> Floats:
-    """Return rough standard deviations (3,) of unit effects, bench effects and excess from values `y` (n,).
+    """Return rough standard deviations (3,) of units, benches and excess scatter from values `y` (n,).
 
-    The first is that of the units' means about the mean of their group, at least a tenth of the second. The
-    second and the third are both that within units, at least the median of the stated u.
+    Benches and excess both get the standard deviation within units, but at least the median stated u.
+    Unit effects get the standard deviation of unit means within groups, but at least a tenth of the former.
     """
     count = np.bincount(crossing.unit, minlength=crossing.units)
     mean = np.bincount(crossing.unit, y, crossing.units) / count
@@ -376,6 +376,6 @@ def _variance_covariance(at: MixedModelEquations, y: Floats) -> Floats:
 
 
 def about_sets(crossing: Crossing) -> Floats:
-    """Return the map (B, B) that subtracts from bench effects the mean of their connected set."""
+    """Return the matrix (B, B) that subtracts from bench effects the mean of their connected set."""
     alike = crossing.component[:, None] == crossing.component[None, :]
     return np.asarray(np.eye(crossing.benches) - alike / alike.sum(axis=1, keepdims=True))

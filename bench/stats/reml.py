@@ -42,7 +42,7 @@ class ComponentColumns:
 
     @classmethod
     def of(cls, Z: Sequence[Floats]) -> ComponentColumns:
-        """Return the columns of dense components (N, q_k)."""
+        """Return the sparse columns of the components whose dense columns are `Z`, an array (N, q_k) each."""
         widths = [z.shape[1] for z in Z]
         return cls(sparse.csc_array(np.concatenate(list(Z), axis=1)), np.cumsum([0, *widths[:-1]]))
 
@@ -76,7 +76,7 @@ class Mixed:
         return ComponentColumns.of(self.Z)
 
     def covariance(self, theta: Floats) -> Floats:
-        """Return V (N, N) for variances (k,)."""
+        """Return the covariance V (N, N) of the data for variances `theta` (k,)."""
         sized = self.columns.sized(np.sqrt(theta))
         return np.asarray(self.known + sized @ sized.toarray().T)
 
@@ -87,7 +87,7 @@ class Mixed:
 
 @dataclass(frozen=True)
 class Projection:
-    """The projection P (N, N) at given variances, with P y (N,)."""
+    """P = V^-1 - V^-1 X (X^T V^-1 X)^-1 X^T V^-1 (N, N) at given variances, and P y (N,)."""
 
     P: Floats
     Py: Floats
@@ -114,14 +114,14 @@ class Projection:
         return Z.sums((Z.whole.T @ self.Py) ** 2)
 
     def moments(self, Z: ComponentColumns) -> tuple[Floats, Floats, Floats]:
-        """Return the scores (k,), tr(P V_k) (k,) and the information 1/2 tr(P V_k P V_l) (k, k)."""
+        """Return scores (k,), tr(P V_k) (k,) and information 1/2 tr(P V_k P V_l) (k, k); V_k = Z_k Z_k^T."""
         crossed = Z.whole.T @ (self.P @ Z.whole)
         traces = Z.sums(np.diag(crossed))
         information = 0.5 * Z.sums(Z.sums(crossed**2).T)
         return 0.5 * (self._squares(Z) - traces), traces, np.asarray(information)
 
     def average_information(self, Z: ComponentColumns) -> Floats:
-        """Return 1/2 y^T P V_k P V_l P y, shape (k, k)."""
+        """Return the average information 1/2 y^T P V_k P V_l P y, shape (k, k), with V_k = Z_k Z_k^T."""
         by_column = Z.whole.T @ self.Py
         component = np.repeat(np.arange(len(Z.starts)), Z.widths)
         moved = Z.whole @ (by_column[:, None] * (component[:, None] == np.arange(len(Z.starts))))
@@ -180,10 +180,10 @@ def maximise(
 
 @dataclass(frozen=True)
 class ComponentsAsked:
-    """Tests of k components not yet in the model.
+    """Score tests of k variance components that the model does not contain yet.
 
-    `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of the
-    variance: the prior is flat above zero, the likelihood is normal about the result of one scoring step.
+    `chance` (k,) is the p-value of the score for a variance of zero. `expected` (k,) is the posterior mean of
+    the variance: the prior is flat above zero, the likelihood is normal about the result of one scoring step.
     """
 
     chance: Floats
@@ -193,12 +193,12 @@ class ComponentsAsked:
 def asked_for(at: Projection, Z: ComponentColumns, inside: int, dof: float) -> ComponentsAsked:
     """Test the components that the model does not contain yet: all after the first `inside`.
 
-    The variances of the first `inside` components are estimates from the repeats alone, which do not maximise the
-    likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in Probability
-    and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is treated as
-    chi-square divided by nu; nu is chosen so that the variances agree (Satterthwaite, Biometrics Bull. 2 (1946)
-    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the first
-    variances are estimates.
+    The variances of the first `inside` components are estimates from the repeats alone, which do not maximise
+    the likelihood. Score and information are therefore corrected for them (the C(alpha) test: J. Neyman, in
+    Probability and Statistics: The Harald Cramer Volume (1959) 213). A quadratic form divided by its mean is
+    treated as chi-square divided by nu, with nu for equal variance (Satterthwaite, Biometrics Bull. 2 (1946)
+    110). The quotient is tested as F, with at most `dof` denominator degrees of freedom, because the
+    variances of the first components are estimates.
     """
     scores, traces, whole = at.moments(Z)
     scale = np.sqrt(np.diag(whole)[:inside])

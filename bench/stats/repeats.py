@@ -46,8 +46,8 @@ class Ratio(NamedTuple):
 class Term:
     """A term that widens u, for each of c kinds of quantity.
 
-    `size` (c,) is the standard deviation of the term or, for the term "scale", the factor on u. `u` (g, r, c) is
-    the widened uncertainty.
+    `size` (c,) is the standard deviation of the term; for "scale" it is in multiples of u. `u` (g, r, c) is
+    the widened uncertainty for g groups and r repeats.
     """
 
     name: TermName
@@ -72,7 +72,7 @@ class Repeats:
 
     @property
     def too_small(self) -> bool:
-        """Whether u is too small by more than the factor `TOO_SMALL`, and not by chance."""
+        """Whether `held_before` is above `TOO_SMALL` and its 95 % interval is above 1."""
         held = self.held_before
         return held is not None and held.value > TOO_SMALL and held.low > 1.0
 

@@ -1,11 +1,12 @@
 """The restricted likelihood of repeats of readings, maximised for many runs at once.
 
-In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T. S
-are their sums of squares and products with f degrees of freedom; R_k is the derivative of R by variance k. Fisher
-scoring uses the information 1/2 tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in
-closed form (Sherman and Morrison). A score test decides whether all channels have one variance.
+In each group the deviations of repeats from their mean have a covariance R = diag(v_x, v_y, v_z) + v_phi d d^T;
+d are the derivatives of the signals by the head angle. S are sums of squares and products of the deviations,
+with f degrees of freedom; R_k is the derivative of R by variance k. Fisher scoring uses the information 1/2
+tr(R^-1 R_k R^-1 R_l) and the score 1/2 tr(R^-1 R_k R^-1 (S - f R)), with R^-1 in closed form (Sherman and
+Morrison). A score test decides whether all channels have one variance.
 Sources: D. A. Harville, J. Am. Stat. Assoc. 72 (1977) 320, sections 4 and 5; C. R. Rao, Proc. Camb. Phil. Soc. 44
-(1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors that keep sizes from zero.
+(1948) 50; Y. Chung, S. Rabe-Hesketh et al., Psychometrika 78 (2013) 685, for priors of variances.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def sizes_of(
 
 @dataclass(frozen=True)
 class Sizes:
-    """The accepted variances (runs, 4) of x, y, z and the setting, with degrees of freedom.
+    """The noise variances (runs, 4) of x, y, z and the head's setting, with degrees of freedom.
 
     `dof` (runs, 3) are the degrees of freedom of the channels. `p_equal` (runs,) is the p-value of the hypothesis
     that the channels have equal variances. If it is at least `EQUAL_P`, the run has one variance for all three
@@ -112,8 +113,8 @@ def believed_sizes(
 ) -> Sizes:
     """Return the noise variances of many runs, separate for each channel if the channels differ.
 
-    All channels have one variance with `one_size`, or if only the last digit of the replies varies. See `sizes_of`
-    for the other arguments.
+    All channels have one variance with `one_size`, or if their common variance is at most `DIGITS` `floor`^2,
+    as from rounding alone. `scatter`, `freedom`, `slope` and `floor` are as in `sizes_of`.
     """
     common = sizes_of(scatter, freedom, slope, floor, COMMON)
     variances, count = common.copy(), len(common)

@@ -65,7 +65,7 @@ class Histories:
 
 
 def histories(unit: Ints, bench: Ints, years: Floats) -> Histories:
-    """Return the histories for unit and bench numbers (n,), from 0, and times `years` (n,) from any origin."""
+    """Return the design for n runs: unit and bench numbers (n,), from 0; times `years` (n,) of any origin."""
     order = np.lexsort((years, unit))
     runs = np.bincount(unit)
     start = np.cumsum(runs) - runs
@@ -108,7 +108,7 @@ Weighed = tuple[SameLength, Floats, Floats, Floats]
 
 @dataclass(frozen=True)
 class Within:
-    """The data of one coefficient within units: values `y` (n,) with stated variances (n,)."""
+    """The values `y` (n,) of one coefficient, their stated variances (n,), and the design of contrasts."""
 
     of: Histories
     y: Floats
@@ -134,7 +134,7 @@ class Within:
 
     @cached_property
     def scales(self) -> Floats:
-        """Rough values (4,) of the variances, used as start values."""
+        """Start values (4,) of the variances of benches, scatter, rates and walks."""
         dof = self.of.dof
         square = sum(float(np.sum(seen[..., 0] ** 2)) for _, seen, _ in self._data) / dof
         square = max(square, float(np.median(self.variance)))
@@ -248,9 +248,10 @@ class CalibrationSpread:
 
     `scatter` is the scatter in excess of the stated u: the root mean square of its possible values, weighted by
     their likelihood. It is therefore larger for few calibrations. `scatter_least` and `scatter_most` are its 90 %
-    limits. `bench` is the maximum-likelihood standard deviation between benches, `bench_most` its upper 95 % limit.
-    `rate` (per year) and `walk` (over a year) are the drifts of units, zero unless significant. `p` is the p-value
-    of the hypothesis that units do not drift.
+    limits. `bench` is the maximum-likelihood standard deviation between benches, `bench_most` its upper 95 %
+    limit; both are NaN for a single bench. `rate` (per year) and `walk` (over a year) are the standard
+    deviations of the units' drifts, zero unless significant. `p` is the p-value of the hypothesis that units
+    do not drift.
     """
 
     scatter: float
@@ -269,7 +270,7 @@ class CalibrationSpread:
 
 
 def spread_of(within: Within, *, several: bool, drifts: bool = True) -> CalibrationSpread:
-    """Return the scatter without the drift of units and, if there are `several` benches, their spread.
+    """Return the scatter without the drift of units and, for `several` benches, the spread between benches.
 
     A rate or walk that is not significant counts as scatter. Without `drifts`, as for units with too few runs,
     any drift counts as scatter.

@@ -74,9 +74,9 @@ def simulate(
 ) -> Readings:
     """Return one simulated run of the paper's procedure, in V.
 
-    Stand errors are drawn for each installation, setting error and noise for each reading. If `rng` is None, they
-    are zero. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i; `eccentricity_rad` (cosine, sine) adds e_c cos(phi) +
-    e_s sin(phi) to the head's angle.
+    Stand errors of u `stand_u`, rad (default `STAND_U`), are drawn for each installation, setting error and
+    noise for each reading. If `rng` is None, all are zero. `K2` (g/g^2) adds K_ii K2_i a_i^2 to channel i;
+    `eccentricity_rad` (cosine, sine) adds e_c cos(phi) + e_s sin(phi) to the head's angle.
     """
     installation, pass_number, point, phi = design(passes)
     n = len(phi)

@@ -179,7 +179,7 @@ def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
 
 
 def changed_copy(run: Run) -> Run:
-    """Copy a run within its folder of runs, change one digit of a reading, and return the copy."""
+    """Copy a run within its folder of runs, add a digit to a reading, and return the copy."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 
@@ -204,7 +204,10 @@ UNITS = {"units": [{"received": "2026-11-16", "condition": "undamaged", "state":
 
 
 def write_files(folder: Path, laboratory: Any = None, order: Any = None) -> tuple[Path, Path]:
-    """Write the shipped laboratory and order files with sections replaced into a folder; return both paths."""
+    """Write the shipped laboratory and order files into a folder; return both paths.
+
+    The mappings `laboratory` and `order` replace sections of the files; None as a section removes it.
+    """
     written = []
     for name, sections in (("laboratory", laboratory), ("order", order)):
         data = yaml.safe_load((shipped_folder(CERTIFICATE) / f"{name}.yaml").read_text(encoding="utf-8"))

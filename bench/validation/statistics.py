@@ -30,8 +30,8 @@ FALSE_ALARM: Final = 1e-5
 def errors(count: int) -> tuple[Floats, Floats, Floats]:
     """Simulate `count` readings files; return errors and u of the coefficients, and p-values of lack of fit.
 
-    The shapes are (count, 12), (count, 12) and (count,). Stand angles and noise are drawn again for each file, from
-    [SEED, number].
+    The shapes are (count, 12), (count, 12) and (count,). Each file has its own stand angles and noise, drawn
+    with the seed [`SEED`, number of the file].
     """
     error, u, p = [], [], []
     for number in range(count):

@@ -1,4 +1,4 @@
-"""The catalogue of effects: of this folder, of installed distributions and, within a context, of the user.
+"""The catalogue of effects: the bench's own, those of installed distributions, and those of the user.
 
 A distribution adds effects by the entry-point group `triaxial_bench.effects`; each entry is an `Effect`, a
 subclass of it, or a module with subclasses. The user's own effects are formulas from a file; they are known

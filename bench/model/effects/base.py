@@ -135,10 +135,9 @@ class Effect(ABC):
         """
 
     def start_spread(self, conditions: Conditions) -> float:
-        """Return the standard deviation of a starting state, as a multiple of its size parameter, SI.
+        """Return the standard deviation of the starting state divided by the size named in `start_of`, SI.
 
-        The starting state is a parameter whose `start_of` names the size parameter. An effect without one does not
-        use this number.
+        The number has no meaning for an effect without a starting state (see `Parameter`).
         """
         del conditions
         return 1.0
@@ -228,8 +227,7 @@ def warmth_behind(conditions: Conditions, lag_s: float) -> Floats:
 def fading(conditions: Conditions, lag_s: float) -> Floats:
     """Return the fraction (n,) that remains, at each row, of a deviation at the start of its mounting.
 
-    The deviation decays as exp(-t / `lag_s`), with t since the first reading of the mounting; without a lag it is
-    0.
+    It is exp(-t / `lag_s`), with t since the first reading of the mounting; a `lag_s` of 0 gives 0.
     """
     if lag_s <= 0.0:
         return np.zeros(len(conditions))
@@ -251,10 +249,7 @@ def time_constant(*minutes: int) -> Parameter:
 
 
 def play(signal: Floats, width: float) -> Floats:
-    """Return a signal (n,) after a mechanical play of half-width `width`.
-
-    At the first value the signal is at the centre of the play.
-    """
+    """Return a signal (n,) after a mechanical play of half-width `width`, centred on the first value."""
     if width <= 0.0 or len(signal) == 0:
         return signal
     behind = np.empty_like(signal)
@@ -306,10 +301,7 @@ class AppliedEffect:
     either_of: tuple[str, ...] = ()
 
     def complete_values(self) -> dict[str, Floats]:
-        """Return the values of all parameters of the effect.
-
-        A missing shape has its default; any other missing parameter is zero.
-        """
+        """Return the values of all parameters; missing shapes have their default, others are 0 if missing."""
         return {
             p.name: np.asarray(
                 self.values[p.name]
@@ -341,9 +333,9 @@ class AppliedEffect:
         return rows
 
     def addition(self, seen: Seen) -> Floats:
-        """Return the effect's addition with its `values`.
+        """Return what the effect adds to the signal at its stage, zero in rows where it does not act.
 
-        The addition is zero in rows where the effect does not act (see `Effect.addition`).
+        Shape and unit are those of `Effect.addition`.
         """
         added = self.effect.addition(self.complete_values(), seen)
         if not self.installations:
@@ -363,9 +355,9 @@ PART: Final = "part"
 
 @dataclass(frozen=True)
 class InPart(Effect):
-    """A correction for the uncertain shape of the effect `of`: a multiple of a fixed sum of effects.
+    """A correction for the uncertain shape of the effect `of`: a multiple of the sum of its `parts`.
 
-    The effects `parts` have fixed values. The only parameter is the factor on their sum, which a fit may estimate.
+    The parts are effects with fixed values; a fit may estimate the factor on their sum, the only parameter.
     Raises `ValueError` if the parts act at different stages.
     """
 
@@ -402,6 +394,6 @@ class InPart(Effect):
 
 
 def in_part(of: str, number: int, parts: tuple[AppliedEffect, ...], value: float, u: float) -> AppliedEffect:
-    """Return correction `number` of the shape of `of`, with the factor `value` and its uncertainty `u`."""
+    """Return correction `number` of the shape of the effect `of`; `u` is the u of its factor `value`."""
     effect = InPart(f"{of}_shape_{number}", of, parts)
     return AppliedEffect(effect, {PART: np.asarray(value)}, u={PART: np.asarray(u)})

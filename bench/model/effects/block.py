@@ -175,8 +175,8 @@ class Hysteresis(BlockEffect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return K_ii (size_i state_i + start_i change_i) in volts, shape (n, 3).
 
-        The channel's `state` is from -1 to 1; at the start of a mounting it is 0, in the middle of the play.
-        `change` is half the difference between the states after starts at 1 and at -1. Raises `ValueError` if
+        `size` and `start` are parameters. `state` is this module's function for a start at 0; `change` is
+        half the difference between its values for starts at 1 and at -1. Raises `ValueError` if
         `Conditions.turns` is None.
         """
         width_g = float(values["width_g"])
@@ -196,7 +196,7 @@ def state(conditions: Conditions, width_g: float, start: float = 0.0) -> Floats:
     """Return each channel's position in its hysteresis loop, (n, 3), from -1 (force has fallen) to 1 (risen).
 
     `start` is the position at the start of each mounting. Rows without an angle or in an unknown installation
-    have 0 and do not count as settings. The result is cached in the conditions.
+    have 0 and do not affect later rows. The result is cached in the conditions.
     """
     kept, key = conditions.memory, ("hysteresis", width_g, start)
     if key not in kept:
@@ -277,9 +277,9 @@ class LaggedEffect(BlockEffect):
     needs_history = True
 
     def addition(self, values: Values, seen: Seen) -> Floats:
-        """Return K_ii (size_i T + start_i exp(-t / lag)) in volts, shape (n, 3), with t since the mounting.
+        """Return K_ii (size_i T + start_i exp(-t / lag)), times a_i if `of_scale`, in volts, shape (n, 3).
 
-        With `of_scale` the result is multiplied by a_i.
+        The time t is since the first reading of the mounting.
         """
         lag_s, acts = float(values["lag"]), seen.signal if self.of_scale else 1.0
         warmth = warmth_behind(seen.conditions, lag_s)
@@ -307,7 +307,7 @@ class ThermalBias(LaggedEffect):
 
 
 class ThermalScale(LaggedEffect):
-    """Scale-factor change k_T T K_ii a_i; T is the temperature, after a first-order lag, minus the reference."""
+    """Scale-factor change k_T T a_i; T is the temperature, after a first-order lag, minus the reference."""
 
     name = "thermal_scale"
     of_scale = True
@@ -382,7 +382,7 @@ class BiasDrift(BlockEffect):
 
 
 class ScaleDrift(BlockEffect):
-    """Linear drift r t K_ii a_i of the scale factor, where t is the time since the start of the run."""
+    """Linear drift r t a_i of the scale factor, where t is the time since the start of the run."""
 
     name = "scale_drift"
     parameters = (Parameter("rate", "ppm/h", 1e-6 / HOUR, plausible=20e-6 / HOUR, per_channel=True),)

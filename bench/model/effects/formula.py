@@ -377,7 +377,8 @@ class FormulaEffect(Effect):
     def addition(self, values: Values, seen: Seen) -> Floats:
         """Return the addition at the stage (see `Effect.addition`).
 
-        A non-finite result counts as 0 if a variable of the reading is unknown; else it raises `ExpressionError`.
+        A non-finite result counts as 0 in a reading without a head angle if one of its variables is unknown.
+        In any other reading it raises `ExpressionError`.
         """
         used = frozenset(names_in(self.expression))
         known = {name: of(seen) for name, of in variables_of(self.stage).items() if name in used}

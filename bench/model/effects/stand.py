@@ -32,7 +32,7 @@ def into(column: str, angle_rad: Floats, stand_rad: Floats) -> Floats:
 class ConstantAngle(StandEffect):
     """A constant stand angle, larger than the bench file allows.
 
-    Its column of `STAND_ANGLES` is `column`, by default that of its name.
+    `column` is the name of the angle in `STAND_ANGLES`, by default the name of the effect.
     """
 
     column: ClassVar[str] = ""
@@ -234,10 +234,7 @@ class BlockSlip(StandEffect):
 
 
 class MountingCreep(StandEffect):
-    """The mounting angles approach their final values exponentially, as exp(-t / tau).
-
-    t is the time since mounting.
-    """
+    """The mounting angles settle as exp(-t / tau), with t since the first reading of the mounting."""
 
     name = "mounting_creep"
     shows_on = ("bracket",)
@@ -282,9 +279,9 @@ PAIRS: Final = tuple((CHANNELS[i], CHANNELS[j]) for i, j in ((0, 1), (1, 2), (2,
 
 
 class MetersExchanged(VoltmeterEffect):
-    """Two exchanged voltmeters: the difference between their gains and between their zeros.
+    """The exchange of two voltmeters: their gains differ by `gain`, their zeros by `zero`.
 
-    The difference adds to one channel and is subtracted from the other.
+    `gain` times the voltage plus `zero` is added in one channel of the pair, and subtracted in the other.
     """
 
     name = "meters_exchanged"

@@ -127,10 +127,7 @@ class VoltmeterThermalOffset(VoltmeterEffect):
 
 
 class VoltmeterMove(VoltmeterEffect):
-    """A step of the zero of each channel's meter at the time `at` after the start of the run.
-
-    A move of the meter causes such a step.
-    """
+    """A step of the zero of each channel's meter, as from a move, at the time `at` since the run began."""
 
     name = "voltmeter_move"
     parameters = (
@@ -151,7 +148,7 @@ class VoltmeterMove(VoltmeterEffect):
 class ReferenceSupply(VoltmeterEffect):
     """A change s v of the reference voltage at the inputs, caused by the supply of the reference.
 
-    v is the voltage of that supply rail minus its nominal voltage.
+    s is the sensitivity, v the voltage of that supply rail minus its nominal voltage.
     """
 
     name = "reference_supply"
