@@ -64,7 +64,7 @@ class Job:
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return the job with absolute paths. Raises the commands' errors for options invalid for every run."""
+        """Return the job with absolute paths. Raises the command's error for an unusable option."""
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()
@@ -113,7 +113,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the versions of program and packages, and a hash of the code, which may differ within a version."""
+    """Return the versions of this program, Python, NumPy and SciPy, and a hash of the program's code."""
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
     told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)

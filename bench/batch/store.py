@@ -39,11 +39,12 @@ class Listed:
 def list_runs(
     over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
 ) -> Listed:
-    """Return the runs that `over` selects, by a query or by patterns of paths.
+    """Return the runs that `over` selects, by a query of the `catalogue` or by patterns of paths.
 
-    A query consists of words such as `unit=Q-17`, all of which must hold. Patterns are shell patterns (`*`, `?`,
-    `[…]`, `**` for nested folders), matched in the working folder or else in the folder `runs`. A folder that is
-    not a run stands for the runs in it. Raises `Refused` if no run is found; the message names the `option`.
+    A query consists of words such as `unit=Q-17`; a run must satisfy all. Patterns are shell patterns (`*`,
+    `?`, `[…]`, `**` for nested folders), matched in the working folder or else in the folder `runs`. A folder
+    that is not a run stands for the runs in it. Raises `Refused` if no run is found; the message names the
+    `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
@@ -73,7 +74,7 @@ def is_question(word: str) -> bool:
 
 
 def fingerprint(run: str) -> str:
-    """Return a fingerprint of a run: size and modification time of each file that its row depends on."""
+    """Return a hash of the sizes and modification times of those files of a run that determine its row."""
     told = []
     for name in _READ:
         try:
@@ -143,7 +144,7 @@ class BatchProgress:
 
 
 class Store:
-    """The folder of a batch, held by one program at a time."""
+    """The folder of a batch; as a context manager, it lets one program at a time compute the batch."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -176,7 +177,8 @@ class Store:
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
         """Record the job and its runs; return the runs still to be computed.
 
-        Raises `Refused` if the folder has a batch of other options, other `over`, or another program.
+        Raises `Refused` if the folder's batch has other options, another `over` or another `program`, or if a
+        part is damaged.
         """
         asked = {
             "command": job.command,

@@ -1,9 +1,9 @@
 """The catalogue's database, SQLite or PostgreSQL: location, tables, and rebuilding of old tables.
 
 Values that were not recorded are NULL; times are UTC; `limit_g` and `delta_g` are in local g. A row's key is
-derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
-programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row by
-row.
+derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Programs
+therefore write the same rows in any order and into any database. Arrays are stored as float64, little-endian,
+row by row.
 """
 
 from __future__ import annotations
