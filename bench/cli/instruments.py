@@ -64,8 +64,9 @@ def _named(bench: str | None) -> str | None:
 def look(bench: str | None, target: str | None = None, wire_log: Path | None = None) -> int:
     """Open, test and read all instruments; return the exit status.
 
-    It is 0 if no instrument has a fault, 2 if one could not be opened or was lost, else 1. Raises `FileMistakes`,
-    `Refused` without a bench file, and `OSError` if the wire log cannot be written.
+    The status is 0 if no instrument has a fault, 2 if one could not be opened or was lost, else 1. `target`
+    is the file of the JSON result. Raises `FileMistakes` for an invalid bench file, `Refused` without a bench
+    file, and `OSError` if the wire log cannot be written.
     """
     from bench.config.bench_file.file import load_bench
     from bench.results.records import InstrumentsResult

@@ -146,7 +146,8 @@ StrictFitOption = Annotated[
 def requested(command: Callable[..., int]) -> Callable[..., int]:
     """Return a command whose options are the fields of its request; the request is made from the options.
 
-    If the first parameter of `command` is a list of requests, each source that the user names becomes one request.
+    If `command` takes a list of requests, each value of its first argument, such as a run, becomes one
+    request.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))

@@ -1,4 +1,4 @@
-"""The block as a sensor in m/s^2: PX4, ArduPilot, Kalibr, and what their forms omit."""
+"""The block as a sensor in m/s^2 in files for PX4, ArduPilot and Kalibr, with notes on what each omits."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Autopilot:
     `id` and `turn` name the parameters for the sensor's id and for the rotation to the board's axes. `head`
     is the comment at the beginning of a file, `before` that above the values; `row` is the format of a
     value's line. `read` is Python code that reads names and values from such a file. With `sorted_by_name`,
-    the two values of an axis are adjacent.
+    the parameters are in alphabetical order.
     """
 
     name: str

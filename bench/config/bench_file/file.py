@@ -1,4 +1,4 @@
-"""Bench files (`config/*.yaml`), and the certificates of their instruments as valid on a given day."""
+"""Bench files (`config/*.yaml`), and the certificates of their instruments as they apply on a day."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ class BenchFile(FileModel):
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
     def installation_models(self) -> dict[str, Installation]:
-        """Return the installations by label: the paper's 1 and 2, and those in the file."""
+        """Return the installations by label: 1 and 2 of the paper, and those that the file states."""
         stated = {label: section.to_model(label) for label, section in self.installations.items()}
         return {"1": INSTALLATION_1, "2": INSTALLATION_2} | stated
 
@@ -335,9 +335,9 @@ def standings(
 
 
 def without(bench: BenchFile, names: Set[str]) -> BenchFile:
-    """Return a copy of a bench in which the named instruments have no certificates.
+    """Return a copy of a bench without the certificates of the named instruments.
 
-    Thermometers away from the block keep their certificates.
+    Thermometers away from the block keep their certificates, even if they are named.
     """
     if not names:
         return bench

@@ -65,7 +65,7 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of a role's instruments if this class is the form of the role, else none."""
+        """Return the section classes of all instruments of the role if this class is its form, else ()."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire that the instrument's facts state, changed as the section `serial` says."""
+        """Return the setup of the wire: that in the instrument's facts, with the settings in `serial`."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -441,7 +441,7 @@ class HeadCertificate(Certificate):
 
 
 class ChamberCertificate(Certificate):
-    """The certificate of a thermometer: corrections by temperature; the end values hold beyond the ends."""
+    """The certificate of a thermometer: corrections by temperature; beyond the table, its end values hold."""
 
     values: Annotated[tuple[TemperatureValue, ...], Field(min_length=1)]
 

@@ -167,9 +167,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is its address without the N. The level is read in two positions half a turn apart. In the first
-    position, its axis `along` points along the shaft, away from an observer who faces the end of the shaft. Its
-    axis `across` points to the observer's right.
+    `sensor` is the address of the sensor without the N. The level is read in two positions half a turn apart.
+    In the first position, its axis `along` points along the shaft, away from an observer who faces the end of
+    the shaft. Its axis `across` points to the observer's right.
     """
 
     facts: ClassVar = nivel
@@ -227,7 +227,7 @@ class MitutoyoMux10Section(ReadOutHeadForm):
 class EncoderLineSection(ReadOutHeadForm, LineForm):
     """A counter that answers `request` with one line of text, which holds the angle in the `unit`.
 
-    `counts_per_turn` is required for the unit counts, and refused for any other.
+    `counts_per_turn` is required for the unit "counts", and refused for any other unit.
     """
 
     facts: ClassVar = text_line
