@@ -63,7 +63,6 @@ def _computing(job: Job, request: Batch, pending: int) -> Computed:
 
 
 def _cores() -> int:
-    """Return how many cores this program may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -169,7 +169,6 @@ class Store:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Release the lock on the folder."""
         self._lock.release()
 
     # --- what was asked -----------------------------------------------------------------------------

@@ -2,8 +2,8 @@
 
 The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
 processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
-simultaneous syncs lose nothing. A row's key is derived from the object that the row describes. A folder that
-was moved or renamed therefore gives the same run. A copy of a folder is reported, and its run is counted once.
+simultaneous syncs lose nothing. A folder that was moved or renamed gives the same run. A copy of a folder is
+reported, and its run is counted once.
 """
 
 from __future__ import annotations

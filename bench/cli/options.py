@@ -237,10 +237,7 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return a field's value, which the user gave as an `argument` or, in the older spelling, as an `option`.
-
-    Raises `Refused` if both are given.
-    """
+    """Return a field's value from `argument` or the older `option`. Raises `Refused` if both are given."""
     if option is None:
         return argument
     if argument not in {field.default, option}:

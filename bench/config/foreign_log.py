@@ -118,10 +118,7 @@ def _repeated(names: Sequence[Any]) -> list[Any]:
 
 
 def _factor(name: str, unit: str | None) -> float:
-    """Return how many units of the readings file's column `name` make one `unit` of the log.
-
-    Raises `ValueError` if the quantities differ.
-    """
+    """Return the factor from the log's `unit` to the unit of column `name`. Raises `ValueError` if none."""
     wanted = next((si for end, si in SUFFIXES.items() if name.endswith(end)), None)
     if unit is None:
         return 1.0
@@ -252,8 +249,6 @@ class _HourRepeatedError(Exception):
 
 
 class _Rows:
-    """The conversion of rows of a log."""
-
     def __init__(self, header: Sequence[str], mapping: LogColumns) -> None:
         self.mapping = mapping
         self._header = header

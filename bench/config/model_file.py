@@ -117,7 +117,6 @@ class ModelFile(WithEffects):
 
     `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard
     deviation of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
-    `left_open` lists uncertain corrections of the shapes of the effects.
     """
 
     model_file: Literal["1"]

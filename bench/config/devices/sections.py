@@ -457,7 +457,7 @@ class ControlledChamberForm(ChamberForm, WiredForm):
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the options of the simulated chamber: values of the section, limits of the set point (°C)."""
+        """Return the options of the simulated chamber: values of the section, set point limits (°C)."""
         return super().simulation_options(truth) | {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
