@@ -137,7 +137,7 @@ _OPTIONS: Final = {"g_m_s2": "--g", "limit_g": "--limit", "pages": "the folder o
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch: runs still `pending`, each with its fingerprint, and `notes` for the user."""
+    """Progress of a batch: runs still `pending`, with their fingerprints, and `notes` for the user."""
 
     pending: Mapping[str, str]
     notes: tuple[str, ...] = ()
@@ -176,8 +176,8 @@ class Store:
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
         """Record the job and its runs; return the runs still to be computed.
 
-        Raises `Refused` if the folder's batch has other options, another `over` or another `program`, or if a
-        part is damaged.
+        Raises `Refused` if the folder's batch has other options or another `over`, if it was begun with other
+        versions or other code of the program, or if a part is damaged.
         """
         asked = {
             "command": job.command,
@@ -338,7 +338,7 @@ class PartWriter:
     _since_s: float = 0.0
 
     def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
-        """Compute the pending runs and write all rows received to parts, even if the computation is interrupted."""
+        """Compute the pending runs with `computed`; write all rows to parts, even after an interruption."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))
         try:

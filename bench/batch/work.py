@@ -290,7 +290,10 @@ class VerdictValues:
 
 @dataclass(frozen=True)
 class Named:
-    """A diagnosis: verdict, effects found, and reduced chi-square of held-out readings without and with them."""
+    """A diagnosis: its verdict and the names of the effects found.
+
+    `before` and `after` are the reduced chi-square of held-out readings without and with them, or None.
+    """
 
     verdict: str
     names: str
@@ -310,10 +313,7 @@ class Named:
 
 
 def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | None:
-    """Return the calibration stored in a run's folder; None if there is none that can be read.
-
-    An unreadable file adds its error to `notes`.
-    """
+    """Return the calibration stored in a run's folder, or None; errors of reading go to `notes`."""
     found: CalibrationValues | None = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     return found
 

@@ -176,7 +176,7 @@ class RecordSeen:
 
 
 def utc_of(text: Any) -> datetime | None:
-    """Return a civil time of a record as UTC without a time zone; None for any other value."""
+    """Return an ISO 8601 time with a UTC offset as UTC without a zone; None for any other value."""
     try:
         when = datetime.fromisoformat(str(text))
     except ValueError:

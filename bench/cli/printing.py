@@ -213,7 +213,10 @@ def evaluated(
 def report(
     result: Calibrated, out: Console, asked: VerdictOptions | None = None
 ) -> tuple[VerificationResult | None, Path]:
-    """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
+    """Write the report of a calibration, judged by the options `asked`; return its verification and the file.
+
+    The verification is None without verification points, or if they joined the fit. Raises `OSError`.
+    """
     from bench.base.files import write_whole
     from bench.services.calibration import report_page
 

@@ -143,7 +143,7 @@ def _summand(name: str, unit: str | None) -> float:
 class ConvertedLog:
     """A log converted to a readings file: its text, the number of rows, and the rows left out, with the reason.
 
-    Each row stands in the line that it has in the log, so that messages about either name the same line.
+    A row has the same line number in both files, so that a message about one of them also fits the other.
     """
 
     text: str

@@ -113,10 +113,11 @@ class WithEffects(FileModel):
 
 
 class ModelFile(WithEffects):
-    """A model file; `parent` names the model that it extends, `data_sha256` the readings used to make it.
+    """A model file: effects that extend the model named `parent`.
 
-    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard
-    deviation of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
+    `data_sha256` has the hashes of the readings used to make the file, separated by blanks. `evidence` is
+    text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard deviation
+    of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
     """
 
     model_file: Literal["1"]

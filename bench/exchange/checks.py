@@ -60,7 +60,7 @@ def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str
 
 
 def check_lines(raw: Floats, corrected: Floats, names: str, unit: str) -> list[str]:
-    """Return the check vectors as lines: three signals, then the accelerations (20, 3) in `unit`."""
+    """Return check vectors as lines: signals `raw` (n, 3), accelerations `corrected` (n, 3) in `unit`."""
     rows = np.hstack([raw, corrected]).tolist()
     return [f"check vectors: {names} in {unit}", *(f"check: {' '.join(map(repr, row))}" for row in rows)]
 

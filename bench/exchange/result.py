@@ -1,4 +1,4 @@
-"""The content of every form of a calibration: coefficients, numbers derived from them, and their origin."""
+"""The content of every exported file of a calibration: coefficients, numbers derived from them, origin."""
 
 from __future__ import annotations
 

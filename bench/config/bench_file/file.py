@@ -107,10 +107,7 @@ class BenchFile(FileModel):
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity, m/s²; None if the file states neither gravity nor location.
-
-        For a location, the WGS 84 formula gives gravity.
-        """
+        """Local gravity, m/s², stated or from the location (WGS 84 formula); None if neither is stated."""
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
         return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
@@ -157,7 +154,7 @@ class BenchFile(FileModel):
     def stand_distributions(self) -> dict[str, Distribution]:
         """Return the distributions of the stand errors (rad, V) by their names in `STAND_ERRORS`.
 
-        The distribution of an angle that the file omits is zero.
+        An angle that the file omits has the distribution of an exact zero.
         """
         sections = {name: getattr(self.stand, name) for name in STAND_ERRORS}
         return {name: s.to_distribution() if s else Distribution(0.0) for name, s in sections.items()}

@@ -120,7 +120,7 @@ def _symmetric(covariance: Floats) -> bool:
 
 
 class MeterValuesEntry(FileModel):
-    """Gains or offsets of the meters relative to the means of their groups, and their covariance, in SI."""
+    """Gain or offset of each meter relative to the mean of its group, and their covariance, in SI."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]

@@ -75,7 +75,7 @@ class InstrumentsSection(FileModel):
     ] = None
 
     def all(self) -> Iterator[InstrumentForm]:
-        """Yield the section of every instrument: voltmeters, head, then the optional ones."""
+        """Yield the section of every instrument: voltmeters, head, then the optional instruments."""
         yield from self.voltmeters
         yield self.head
         for further in (self.chamber, self.level, self.thermometer, self.power_supply, *self.around.values()):

@@ -47,7 +47,7 @@ Options = tuple[str | tuple[str, str], ...]
 
 
 class DeviceSection(FileModel):
-    """Base class of instrument sections in a bench file; the form of each role derives from it."""
+    """Base class of instrument sections in a bench file; each role has a base class of its own, its form."""
 
     # build the schema at import: a faulty field is then reported as a mistake of the module that declares it
     model_config = ConfigDict(defer_build=False)
@@ -289,10 +289,7 @@ class Certified(FileModel):
 
 
 class CertifiedGain(Certified):
-    """The correction of a voltmeter's gain on a range.
-
-    `drift` is the largest change of the gain in a year, in either direction.
-    """
+    """The correction of a voltmeter's gain on a range; `drift` is the gain's largest change in a year."""
 
     correction: Ratio = 0.0
     U: Annotated[float, not_negative(RATIO)]
@@ -307,10 +304,7 @@ class CertifiedGain(Certified):
 
 
 class CertifiedOffset(Certified):
-    """The correction of a voltmeter's zero on a range.
-
-    `drift` is the largest change of the zero in a year, in either direction.
-    """
+    """The correction of a voltmeter's zero on a range; `drift` is the zero's largest change in a year."""
 
     correction: VoltageV = 0.0
     U: Annotated[float, not_negative(VOLTAGE)]

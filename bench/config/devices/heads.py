@@ -196,10 +196,7 @@ Wire = Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.60::4001")]
 
 
 class HeidenhainNd28xSection(ReadOutHeadForm):
-    """A Heidenhain display unit, ND 281B or ND 287, that shows decimal degrees.
-
-    Its port has 7 data bits, even parity and two stop bits.
-    """
+    """A Heidenhain ND 281B or ND 287 that shows decimal degrees; 7 data bits, even parity, 2 stop bits."""
 
     facts: ClassVar = nd
     for_driver: ClassVar = ("model",)

@@ -428,10 +428,7 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """The settings that all chambers have: the range of temperatures that may be demanded.
-
-    `certificate` is the certificate of the chamber's thermometer.
-    """
+    """The settings that all chambers have: range of set points, and certificate of the thermometer."""
 
     role: ClassVar[Role] = "chamber"
 
