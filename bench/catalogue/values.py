@@ -168,8 +168,8 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
     """Return the comparable calibrations of a table, the mask (n,) that selects them, and notes on the others.
 
     A calibration is comparable if unit, bench and date are known and its readings determined all
-    coefficients. Raises `Refused` if none is comparable, or if they mix simulated and real runs, or signal
-    units.
+    coefficients. Raises `Refused` if none is comparable, if simulated and real ones are mixed, or if signal
+    units differ.
     """
     known = np.ones(len(table), dtype=bool)
     notes = list(table.left_out)
