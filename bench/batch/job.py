@@ -64,7 +64,7 @@ class Job:
         return VerdictOptions(self.limit_g, self.rule, self.guard_band, self.population)
 
     def checked(self) -> Job:
-        """Return the job with absolute paths. Raises the commands' errors for options invalid for every run."""
+        """Return the job with absolute paths. Raises the command's error for an unusable option."""
         estimator = find_estimator(self.estimator).name
         check_gravity(self.g_m_s2)
         self.asked().check()
@@ -84,7 +84,7 @@ class Job:
         return {name: value for name, value in self.to_json().items() if value != usual[name]}
 
     def to_json(self) -> dict[str, Any]:
-        """Return the job as stored and compared: its options, and the SHA-256 of each file that they name."""
+        """Return the job as JSON for the batch file: its options, and the SHA-256 of each named file."""
         given = asdict(self)
         given["population"] = None if self.population is None else list(self.population)
         given["effects"] = [_named(file) for file in self.effects]
@@ -92,7 +92,7 @@ class Job:
 
 
 def job_of(request: Batch) -> Job:
-    """Return the job of a request, including the effect files that the environment names."""
+    """Return the job of a request, with the effects files that BENCH_EFFECTS lists."""
     other_names = {"g": "g_m_s2", "limit": "limit_g"}
     given = {other_names.get(one.name, one.name): getattr(request, one.name) for one in fields(request)}
     mine = {one.name: given[one.name] for one in fields(Job) if one.name in given}
@@ -113,7 +113,7 @@ def _named(file: str) -> dict[str, str]:
 
 @cache
 def program() -> Mapping[str, str]:
-    """Return the versions of program and packages, and a hash of the code, which may differ within a version."""
+    """Return the versions of this program, Python, NumPy and SciPy, and a hash of the program's code."""
     package = Path(__file__).parents[1]
     files = sorted(package.rglob("*.py"))
     told = "".join(f"{file.relative_to(package).as_posix()} {sha256(file.read_bytes())}\n" for file in files)

@@ -33,8 +33,7 @@ _PARTS_OF_THE_LISTED: Final = (
 def carried_out(request: Batch, tell: Callable[[Iterable[str]], None]) -> BatchResult:
     """Compute the pending runs of a batch; return the result for all its runs. `tell` receives notes.
 
-    Raises `Refused` for options that are invalid for every run, for the folder of another batch, and if Ctrl-C ends
-    the batch.
+    Raises `Refused` for options that no run can use, for a folder with another batch, and after Ctrl-C.
     """
     job = job_of(request).checked()
     listed = list_runs(request.over, runs_folder(request.runs), request.catalogue)
@@ -64,12 +63,11 @@ def _computing(job: Job, request: Batch, pending: int) -> Computed:
 
 
 def _cores() -> int:
-    """Return how many cores this program may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def outcome_in(folder: Path) -> BatchResult:
-    """Return the result so far of the batch in a folder. Raises `Refused` if the folder has no batch."""
+    """Write and return the result so far of the batch in a folder. Raises `Refused` if there is no batch."""
     store = Store(folder)
     store.noted()
     with store:
@@ -92,7 +90,7 @@ Ask = Any
 
 @contextmanager
 def asked_of(folder: Path) -> Iterator[Ask]:
-    """Yield a DuckDB connection to the rows computed so far; large queries use the disk."""
+    """Yield a DuckDB connection; its view `changes` has the rows so far. Large queries use the disk."""
     import duckdb
 
     with duckdb.connect(":memory:", config={"memory_limit": _MEMORY, "threads": 1}) as ask:
@@ -195,7 +193,7 @@ def _different(ask: Ask, *, diagnosis: bool) -> list[dict[str, Any]]:
 
 
 def rows_of(ask: Ask, question: str) -> list[dict[str, Any]]:
-    """Return the rows of the answer to an SQL question, each by column."""
+    """Return the rows that an SQL query yields, each as a mapping from column name to value."""
     found = ask.execute(question)
     names = [column[0] for column in found.description]
     return [dict(zip(names, row, strict=True)) for row in found.fetchall()]

@@ -31,7 +31,10 @@ _PATIENCE_S: Final = 5.0
 
 
 def by_processes(job: Job, runs: Iterator[str], count: int, recycled: int | None = None) -> Iterator[Row]:
-    """Yield the rows of runs, in any order, computed by `count` processes. Raises `Refused` if none can start."""
+    """Yield the rows of runs as `count` processes compute them. Raises `Refused` if no process starts.
+
+    A process is replaced after `recycled` runs, by default `RECYCLED` runs or `RECYCLED_DIAGNOSES` diagnoses.
+    """
     usual = RECYCLED_DIAGNOSES if job.command == DIAGNOSE else RECYCLED
     pool = _Pool(job, runs, count, recycled or usual)
     try:
@@ -235,9 +238,9 @@ _LOOKED_AGAIN: Final = 100
 def by_scheduler(job: Job, runs: Iterator[str], address: str) -> Iterator[Row]:
     """Yield the rows of runs as they are done, in any order, computed by the workers of a scheduler.
 
-    The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as workers
-    need runs. Raises `Refused` if no scheduler answers, if it has no worker or disconnects, or if a worker's
-    program differs in its versions or code.
+    The paths of runs must be valid on the computers of the workers, too. `runs` is read only as fast as
+    workers need runs. Raises `Refused` if no scheduler answers at `address`, if the scheduler has no worker
+    or disconnects, or if a worker fails, for example because its program has other versions or code.
     """
     dask: Any = import_module("distributed")
 
@@ -309,9 +312,9 @@ def _row(dask: Any, future: Any, run: str, address: str) -> Row:
 
 
 def of_program(asked: dict[str, str], job: Job, run: str) -> Row:
-    """Return the row of a run, as `worked` does. Raises `RuntimeError` if this program is not `asked`.
+    """Return the row of a run, as `worked` does. Raises `RuntimeError` if the two computers' programs differ.
 
-    `asked` has the versions and the hash of `program` on the computer that started the batch.
+    `asked` is the result of `program` on the computer that started the batch.
     """
     mine = dict(program())
     other = [

@@ -39,11 +39,12 @@ class Listed:
 def list_runs(
     over: Sequence[str], runs: Path, catalogue: str | None = None, option: str = "--over"
 ) -> Listed:
-    """Return the runs that `over` selects, by a query or by patterns of paths.
+    """Return the runs that `over` selects, by a query of the `catalogue` or by patterns of paths.
 
-    A query consists of words such as `unit=Q-17`, all of which must hold. Patterns are shell patterns (`*`, `?`,
-    `[…]`, `**` for nested folders), matched in the working folder or else in the folder `runs`. A folder that is
-    not a run stands for the runs in it. Raises `Refused` if no run is found; the message names the `option`.
+    A query consists of words such as `unit=Q-17`; a run must satisfy all. Patterns are shell patterns (`*`,
+    `?`, `[…]`, `**` for nested folders), matched in the working folder or else in the folder `runs`. A folder
+    that is not a run stands for the runs in it. Raises `Refused` if no run is found; the message names the
+    `option`.
     """
     words = [word for given in over for word in _words(given)]
     asked = [word for word in words if is_question(word)]
@@ -73,7 +74,7 @@ def is_question(word: str) -> bool:
 
 
 def fingerprint(run: str) -> str:
-    """Return a fingerprint of a run: size and modification time of each file that its row depends on."""
+    """Return a hash of the sizes and modification times of those files of a run that determine its row."""
     told = []
     for name in _READ:
         try:
@@ -136,14 +137,14 @@ _OPTIONS: Final = {"g_m_s2": "--g", "limit_g": "--limit", "pages": "the folder o
 
 @dataclass(frozen=True)
 class BatchProgress:
-    """Progress of a batch: runs still `pending`, each with its fingerprint, and `notes` for the user."""
+    """Progress of a batch: runs still `pending`, with their fingerprints, and `notes` for the user."""
 
     pending: Mapping[str, str]
     notes: tuple[str, ...] = ()
 
 
 class Store:
-    """The folder of a batch, held by one program at a time."""
+    """The folder of a batch; as a context manager, it lets one program at a time compute the batch."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -168,7 +169,6 @@ class Store:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Release the lock on the folder."""
         self._lock.release()
 
     # --- what was asked -----------------------------------------------------------------------------
@@ -176,7 +176,8 @@ class Store:
     def begin(self, job: Job, over: Sequence[str], runs: Sequence[str]) -> BatchProgress:
         """Record the job and its runs; return the runs still to be computed.
 
-        Raises `Refused` if the folder has a batch of other options, other `over`, or another program.
+        Raises `Refused` if the folder's batch has other options or another `over`, if it was begun with other
+        versions or other code of the program, or if a part is damaged.
         """
         asked = {
             "command": job.command,
@@ -337,7 +338,7 @@ class PartWriter:
     _since_s: float = 0.0
 
     def carry_out(self, progress: BatchProgress, computed: Computed) -> None:
-        """Compute the pending runs and write all rows received to parts, even if the computation is interrupted."""
+        """Compute the pending runs with `computed`; write all rows to parts, even after an interruption."""
         self._since_s = self.clock.now_s()
         rows = computed(iter(progress.pending))
         try:

@@ -217,8 +217,10 @@ def _diagnosis(source: Source) -> dict[str, Any]:
 class CalibrationValues:
     """The calibration in a row of the table.
 
-    `values` and `u` (12,) are in the order of `COEFFICIENTS`, in `unit` per g and `unit`. `p` is the p-value of the
-    test of lack of fit, None if the fit was not judged.
+    `values` and `u` (12,) are in the order of `COEFFICIENTS`, in `unit` per g and `unit`. `p` is the p-value
+    of the test of lack of fit, None if the fit was not judged. `used` is the number of readings used, `head`
+    the end of the record's hash chain (None without a record). `u_of_readings_alone` marks a `u` that has
+    only the part from the readings, as in results of earlier versions.
     """
 
     estimator: str
@@ -241,7 +243,7 @@ class CalibrationValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> CalibrationValues:
-        """Return the calibration in `told`, a result's JSON. Raises `KeyError`, `TypeError` and the like."""
+        """Return the calibration in a result's parsed JSON. Other JSON raises `KeyError` or the like."""
         sizes = [told["coefficients"][name] for name in COEFFICIENTS]
         p = told["residual"]["p"]
         return cls(
@@ -261,7 +263,7 @@ class CalibrationValues:
 
 @dataclass(frozen=True)
 class VerdictValues:
-    """A verdict: acceptance, statement, largest |Δg| (g) with its standard uncertainty (g), limit, rule."""
+    """A verdict: acceptance, statement, Δg of largest magnitude with its u (g, or None), limit, rule."""
 
     passed: bool
     statement: str
@@ -279,7 +281,7 @@ class VerdictValues:
 
     @classmethod
     def of_file(cls, told: Mapping[str, Any]) -> VerdictValues:
-        """Return the verdict in a result, computed now or read from a file."""
+        """Return the verdict in `told`, the result of a verification as JSON."""
         points = [(float(point["delta_g"]), float(point["u"])) for point in told["points"]]
         delta_g, u = max(points, key=lambda point: abs(point[0]), default=(None, None))
         passed, statement = bool(told["passed"]), statement_in(told)
@@ -288,7 +290,10 @@ class VerdictValues:
 
 @dataclass(frozen=True)
 class Named:
-    """A diagnosis: verdict, effects found, and reduced chi-square of held-out readings without and with them."""
+    """A diagnosis: its verdict and the names of the effects found.
+
+    `before` and `after` are the reduced chi-square of held-out readings without and with them, or None.
+    """
 
     verdict: str
     names: str
@@ -308,10 +313,7 @@ class Named:
 
 
 def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | None:
-    """Return the calibration stored in a run's folder; None if there is none that can be read.
-
-    An unreadable file adds its error to `notes`.
-    """
+    """Return the calibration stored in a run's folder, or None; errors of reading go to `notes`."""
     found: CalibrationValues | None = _read(folder / CALIBRATE_FILE, CalibrationValues.of_file, notes)
     return found
 
@@ -330,11 +332,11 @@ def _read(file: Path, understood: Any, notes: list[str]) -> Any:
 
 
 def changes(before: CalibrationValues | None, now: CalibrationValues) -> Row:
-    """Return the columns of the earlier values, the new values and their changes.
+    """Return the columns for the values `before`, the values `now`, and their changes.
 
-    Without earlier values there are only the new ones. Both results are from the same readings, so a change is no
-    random deviation; the row states it as `change_in_u` does. Results in different units of the signals are not
-    compared.
+    The changes are stated in units of u (`change_in_u`): both results are from the same readings, so that a
+    change is no random deviation. Without `before`, only the values `now` are returned. If the two results
+    are in different signal units, the changes are omitted.
     """
     row = _columns(now, "")
     if before is None:

@@ -155,14 +155,14 @@ class RecordSeen:
 
     @property
     def proved(self) -> str:
-        """How the record was verified: "read" (every event), "chain" (hashes only), "none", or "broken"."""
+        """How the record was verified: "read" (events), "chain" (hashes), "none" (no event), or "broken"."""
         if self.problem:
             return "broken"
         return ("read" if self.whole else "chain") if self.count else "none"
 
     @property
     def ended(self) -> datetime | None:
-        """The UTC time of the last event, without a time zone; None while the run is in progress."""
+        """The UTC time of the last event, without a time zone; None before the run has ended."""
         if self.state in (RunState.READY, RunState.RUNNING, RunState.PAUSED):
             return None
         told = _TIME.search(self._last)
@@ -170,13 +170,13 @@ class RecordSeen:
 
     @property
     def temperature_c(self) -> float | None:
-        """Mean temperature (°C) of all readings, also of those repeated later; None if no reading states it."""
+        """Mean temperature (°C) of all readings, repeats included; None if no reading has a temperature."""
         finite = [value for value in self._temperatures if math.isfinite(value)]
         return sum(finite) / len(finite) if finite else None
 
 
 def utc_of(text: Any) -> datetime | None:
-    """Return a civil time of a record as UTC without a time zone; None for any other value."""
+    """Return an ISO 8601 time with a UTC offset as UTC without a zone; None for any other value."""
     try:
         when = datetime.fromisoformat(str(text))
     except ValueError:

@@ -1,10 +1,11 @@
 """Questions to the catalogue, and their answers as tables.
 
 A question consists of words KEY=VALUE, such as `unit=17-042 meter=MY53200001 after=2026-05-03 simulated=no`.
-A run must satisfy all of them. `!=` selects every other value, including unknown ones. Keys of numbers and times
-also accept `<`, `<=`, `>` and `>=`. In a value `*` matches any text; `none` matches values that were not recorded.
-`after=2026-05-03` means from the beginning of that day (UTC) on, `before=` until its beginning.
-Values are passed to the database as parameters, never as SQL text.
+A run must satisfy all of them. In the value of a text key, `*` matches any text. For keys of texts and of yes
+or no, `none` matches values that were not recorded, and `!=` selects them, too. Keys of numbers and times
+also accept `<`, `<=`, `>` and `>=`; their conditions never select a run without the value. `after=2026-05-03`
+selects runs begun at 0:00 UTC of that day or later, `before=2026-05-03` earlier runs. Values are never part
+of the SQL text.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class Key:
 
 
 def condition_of(query: Sequence[str]) -> Condition:
-    """Return the SQL condition on `RUNS` for a question. Raises `Refused` with all invalid words."""
+    """Return a question as an SQL condition on the table `RUNS`. Raises `Refused` with all invalid words."""
     conditions: list[Condition] = []
     mistakes = []
     for word in query:
@@ -185,7 +186,7 @@ def _time(fixed: str | None = None) -> Build:
 
 
 def moment(text: str) -> datetime:
-    """Return an ISO 8601 time or the beginning of a day in UTC, without a zone; otherwise raise `ValueError`."""
+    """Return an ISO 8601 time or day as UTC, without a zone. Raises `ValueError` for any other text."""
     try:
         when = datetime.fromisoformat(text)
         return when.astimezone(UTC).replace(tzinfo=None) if when.tzinfo else when
@@ -313,7 +314,7 @@ class AnswerTable:
 
 
 def answer(catalogue: Catalogue, query: Sequence[str], of: str = "runs") -> AnswerTable:
-    """Return what `of` names (a key of `KINDS`) for the runs that satisfy a question. Raises `Refused`."""
+    """Return the rows of kind `of` (in `KINDS`) for the runs that satisfy a question. Raises `Refused`."""
     if of not in KINDS:
         raise Refused(f"--of {of}: choose from {', '.join(KINDS)}")
     statement = KINDS[of](condition_of(query))

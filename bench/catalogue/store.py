@@ -1,9 +1,9 @@
 """The catalogue's database, SQLite or PostgreSQL: location, tables, and rebuilding of old tables.
 
 Values that were not recorded are NULL; times are UTC; `limit_g` and `delta_g` are in local g. A row's key is
-derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Any number of
-programs, in any order and in any database, therefore write the same rows. Arrays are float64, little-endian, row by
-row.
+derived from the object that the row describes (the hash of `run.json`, an instrument's identity, …). Programs
+therefore write the same rows in any order and into any database. Arrays are stored as float64, little-endian,
+row by row.
 """
 
 from __future__ import annotations
@@ -440,7 +440,7 @@ def _make_tables(connection: Connection) -> None:
 
 
 def _renew(connection: Connection) -> str:
-    """Replace the tables of an older catalogue by current ones, for a sync to fill; return a sentence on it.
+    """Replace the tables of an older catalogue by empty current ones; return a sentence on it.
 
     For a run that can be read again, only the folder is kept, so that a sync finds it. Runs and registers
     whose folders are gone keep their rows, as far as the new tables have the columns.

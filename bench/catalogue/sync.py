@@ -2,8 +2,8 @@
 
 The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
 processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
-simultaneous syncs lose nothing. A row's key is derived from the object that the row describes. A folder that
-was moved or renamed therefore gives the same run. A copy of a folder is reported, and its run is counted once.
+simultaneous syncs lose nothing. A folder that was moved or renamed gives the same run. A copy of a folder is
+reported, and its run is counted once.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ class Synced:
 def sync(
     catalogue: Catalogue, folders: Sequence[str | Path], *, whole: bool = False, processes: int | None = None
 ) -> Synced:
-    """Synchronise a catalogue with the run folders below `folders`, at any depth; return the counts.
+    """Synchronise a catalogue with the run folders up to 12 levels below `folders`; return the counts.
 
     With `whole`, each record that was never read fully is read event by event. `processes` is the number of worker
     processes, by default the number of cores. Raises `Refused` if a folder cannot be read or the database fails.
@@ -376,10 +376,10 @@ Place = tuple[str, int]
 
 @dataclass(frozen=True)
 class WalkResult:
-    """The result of a walk: run folders, folders with a register, and folders with a problem (`odd`).
+    """The folders that a walk found.
 
     `runs` maps run folders to fingerprints of their files. `odd` maps incomplete run folders, and folders that
-    cannot be entered, to the reason.
+    cannot be entered, to the reason. `registers` are the folders with a register of certificates.
     """
 
     runs: dict[str, str] = field(default_factory=dict)
@@ -427,7 +427,10 @@ def walk(places: Iterable[Place], now_ns: int, most: int | None = None) -> tuple
 
 
 def fingerprint(entries: list[os.DirEntry[str]], now_ns: int) -> str:
-    """Return a hash of names, sizes and times of a run's files; empty if a later change could go unnoticed."""
+    """Return a hash of the names, sizes and times of the files that the catalogue reads in a run folder.
+
+    If a file changed so shortly before `now_ns` that a later change could go unnoticed, the hash is empty.
+    """
     parts, newest = [], 0
     for entry in sorted(entries, key=_NAME):
         name = entry.name

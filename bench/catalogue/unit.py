@@ -76,12 +76,14 @@ def due_units(
     before: str | None = None,
     processes: int | None = None,
 ) -> DueResult:
-    """Return due dates of the selected units, units without one, and instruments soon due; earliest first.
+    """Return the due dates of the selected units and the certificates that expire soon, earliest first.
 
     `limit_g` is the permitted error (g) of a measurement of 1 g, by default the limit of each unit's last
-    verification. If a unit's history is too short to show drift, `interval_days` determines its date. `before`
-    (ISO 8601) leaves out what is due on that day or later. `processes` worker processes compute the dates of many
-    units, by default one for each core. Raises `Refused` for an invalid question.
+    verification. If a unit's history is too short to show drift, `interval_days` determines its date. Units
+    without a due date have a reason instead. `before` (ISO 8601) leaves out what is due on that day or later;
+    by default, every unit and the certificates of the next 30 days are listed. `processes` worker processes
+    compute the dates of many units, by default one for each core. Raises `Refused` for an invalid question,
+    limit or interval.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"
@@ -301,7 +303,7 @@ def _name_of(catalogue: Catalogue, unit: str) -> str:
 
 
 def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
-    """Return the limit of |Δg| (local g) in the last verification of the selected runs that states one, or None."""
+    """Return the last limit of |Δg| (local g) that a verification of the selected runs states, or None."""
     joined = RUNS.join(VERIFICATIONS, VERIFICATIONS.c.run == RUNS.c.id)
     asked = (
         select(VERIFICATIONS.c.limit_g)
@@ -318,7 +320,11 @@ def limit_of(catalogue: Catalogue, query: list[str]) -> float | None:
 def due_of(
     table: CoefficientTable, limit_g: float | None, interval_days: float, *, simulated: bool
 ) -> tuple[Due | None, str]:
-    """Return the due date of a unit from its calibrations, or None and the reason why there is none."""
+    """Return the due date of a unit from its calibrations and ""; without a due date, None and the reason.
+
+    `limit_g` is the permitted error (g) of a measurement of 1 g; None gives no due date. `interval_days`
+    determines the date if the history is too short to show drift.
+    """
     if not len(table):
         return None, "no trusted calibration has a date"
     if limit_g is None:

@@ -93,8 +93,8 @@ class CoefficientTable:
 def coefficient_table(catalogue: Catalogue, query: Sequence[str]) -> CoefficientTable:
     """Return the calibrations of the runs that a question selects.
 
-    Runs are omitted, and reported in `left_out`, if the folder vanished, the record is damaged, or the result
-    belongs to another record. Raises `Refused` for an invalid question.
+    Runs without a calibration are omitted, and so are vanished folders, damaged records, and results of
+    another record; `left_out` counts them. Raises `Refused` for an invalid question.
     """
     asked = condition_of(query)
     believed = and_(
@@ -167,8 +167,9 @@ MOST_COMPARED: Final = 400
 def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tuple[str, ...]]:
     """Return the comparable calibrations of a table, the mask (n,) that selects them, and notes on the others.
 
-    A calibration is comparable if unit, bench and date are known and its covariance is complete. Raises `Refused`
-    if there are none, or if simulated and real runs or different signal units are mixed.
+    A calibration is comparable if unit, bench and date are known and its readings determined all
+    coefficients. Raises `Refused` if none is comparable, if simulated and real ones are mixed, or if signal
+    units differ.
     """
     known = np.ones(len(table), dtype=bool)
     notes = list(table.left_out)
@@ -233,9 +234,10 @@ def _regular(table: CoefficientTable) -> Mask:
 def compared(table: CoefficientTable, method: str | None = None) -> BenchComparison:
     """Compare benches by the units that at least two of them measured.
 
-    Errors common to several calibrations (of the same meters, of K2 and K3 of the same block) are read from the
-    results in the run folders. Raises `CalibrationError` if no unit joins two benches, `Refused` for too many
-    calibrations and as `measured_of`.
+    `method` is the method of each reference value (`bench.history.equivalence.METHODS`). Calibrations share
+    errors if they used the same meters or measured the same block (K2, K3); these are read from the results
+    in the run folders. Raises `CalibrationError` if no unit joins two benches, `Refused` for more than
+    `MOST_COMPARED` calibrations, and the errors of `measured_of`.
     """
     measured, known, notes = measured_of(table)
     paths = table.path[known]

@@ -249,9 +249,9 @@ class Commands(CommandGroup):
 
 @cache
 def load_command(name: str) -> Any:
-    """Import the module of a command; return the library's object for the command or the group of commands.
+    """Import the module of a command; return Typer's object for the command or the group of commands.
 
-    The object is cached, because the library evaluates all annotations of the command each time it makes one.
+    The object is cached, because Typer evaluates all annotations of the command each time it makes one.
     """
     word = name.replace("-", "_") + "_" * iskeyword(name)
     module = import_module(f"bench.cli.{MODULES.get(name, word)}")

@@ -64,10 +64,7 @@ def calibrate(
 def _each(
     requests: Sequence[Calibrate | Verify], work: Callable[[Source], T], json: str | None, out: Path | None
 ) -> list[T | Failed]:
-    """Read the source of each request, print its bench file, and do `work` on it.
-
-    Return a result of `work` or a `Failed` for each request.
-    """
+    """Read each request's source and print its bench file; return what `work` on it gives, or a `Failed`."""
     from bench.services.source import done, each, load_each, reading
 
     loaded = load_each(reading(requests[0], *(one.source for one in requests), out=out))

@@ -50,10 +50,7 @@ def instruments(request: InstrumentsRequest, json: JsonOption = None) -> int:
 
 
 def _named(bench: str | None) -> str | None:
-    """Return `bench`, the bench file named on the command line, or None if BENCH_FILE names one.
-
-    Raises `Refused` if neither names one.
-    """
+    """Return `bench`, or None if BENCH_FILE names a bench file. Raises `Refused` if neither names one."""
     if not (bench or os.environ.get("BENCH_FILE")):
         raise Refused(
             "no bench file named; give --bench FILE or set BENCH_FILE (--discover lists what is connected)"
@@ -64,8 +61,9 @@ def _named(bench: str | None) -> str | None:
 def look(bench: str | None, target: str | None = None, wire_log: Path | None = None) -> int:
     """Open, test and read all instruments; return the exit status.
 
-    It is 0 if no instrument has a fault, 2 if one could not be opened or was lost, else 1. Raises `FileMistakes`,
-    `Refused` without a bench file, and `OSError` if the wire log cannot be written.
+    The status is 0 if no instrument has a fault, 2 if one could not be opened or was lost, else 1. `target`
+    is the file of the JSON result. Raises `FileMistakes` for an invalid bench file, `Refused` without a bench
+    file, and `OSError` if the wire log cannot be written.
     """
     from bench.config.bench_file.file import load_bench
     from bench.results.records import InstrumentsResult
@@ -114,7 +112,6 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     """Commission a bench and print the findings.
 
     Return 0 if everything works, 1 after a deviation, 2 if a check or the whole session was not completed.
-
     Raises `Refused` if there is no terminal or the folder cannot be used, `FileMistakes`.
     """
     from bench.base.text import visible
@@ -207,10 +204,7 @@ def _serve(request: SimulateRequest) -> int:
 
 
 def _command(control: str | None, text: str) -> int:
-    """Send a command to a served bench and print the answer, a line of JSON; return 0.
-
-    Raises `Refused` if there is no answer or the command is refused.
-    """
+    """Send a command to a served bench and print its JSON answer; return 0. Raises `Refused` otherwise."""
     if control is None or not text:
         raise Refused(
             "--control needs an address and a command for the served bench; give both: bench simulate "
@@ -256,10 +250,7 @@ def _show(bench: BenchFile, serving: Serving) -> None:
 
 @contextmanager
 def _held(host: str, port: int | None) -> Iterator[None]:
-    """Lock the first port within the context; lock nothing if the user chose no `port`.
-
-    A second program that wants the port gets an error that names the first program.
-    """
+    """Lock the first `port`, if chosen, so that a second program gets an error that names this program."""
     from bench.base.files import cache_folder
     from bench.run.assembly.served import HELD
     from drivers.wire.resources import Holding

@@ -146,7 +146,8 @@ StrictFitOption = Annotated[
 def requested(command: Callable[..., int]) -> Callable[..., int]:
     """Return a command whose options are the fields of its request; the request is made from the options.
 
-    If the first parameter of `command` is a list of requests, each source that the user names becomes one request.
+    If `command` takes a list of requests, each value of its first argument, such as a run, becomes one
+    request.
     """
     hints = get_type_hints(command, include_extras=True)
     name, request, several = next(_requests(hints))
@@ -236,10 +237,7 @@ def _older(field: RequestField) -> inspect.Parameter:
 
 
 def _in_either_way(field: RequestField, argument: Any, option: Any) -> Any:
-    """Return a field's value, which the user gave as an `argument` or, in the older spelling, as an `option`.
-
-    Raises `Refused` if both are given.
-    """
+    """Return a field's value from `argument` or the older `option`. Raises `Refused` if both are given."""
     if option is None:
         return argument
     if argument not in {field.default, option}:

@@ -112,7 +112,7 @@ def told(
 def failed(results: Sequence[object]) -> bool:
     """Print a line for each source that could not be evaluated; return whether there are such sources.
 
-    Raises `Refused` if several sources failed, all for one reason, because the cause is then not in the sources.
+    Raises `Refused` if several sources failed for the same reason: its cause is then not in the sources.
     """
     from bench.services.source import failures
 
@@ -199,7 +199,7 @@ def bench_files(sources: Sequence[Source], json: str | None) -> None:
 def evaluated(
     result: Calibrated | VerificationResult, command: str, json: str | None, *, what_if: bool
 ) -> None:
-    """Write and print the result of a command for a source; with `--json -`, print only its notes."""
+    """Write a result (`what_if` as in `write_result`) and print it; with `--json -`, print only its notes."""
     file = write_result(result.source, command, result.to_dict(), what_if=what_if or result.source.what_if)
     if json == "-":
         notes_aside(result.notes)
@@ -213,7 +213,10 @@ def evaluated(
 def report(
     result: Calibrated, out: Console, asked: VerdictOptions | None = None
 ) -> tuple[VerificationResult | None, Path]:
-    """Write the report of a calibration; return the verification in it (or None) and the file. Raises `OSError`."""
+    """Write the report of a calibration, judged by the options `asked`; return its verification and the file.
+
+    The verification is None without verification points, or if they joined the fit. Raises `OSError`.
+    """
     from bench.base.files import write_whole
     from bench.services.calibration import report_page
 

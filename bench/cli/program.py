@@ -1,7 +1,7 @@
 """The program `bench` from start to end.
 
-One Ctrl-C ends it with a line, without a traceback. It goes on when nobody reads its output any more. This module
-handles Ctrl-C before anything heavy is imported.
+Ctrl-C ends the program with one line in place of a traceback. The program goes on if the reader of its output
+has ended. This module handles Ctrl-C before anything heavy is imported.
 """
 
 from __future__ import annotations
@@ -124,9 +124,9 @@ def _on_outlet(stream: io.TextIOWrapper) -> io.TextIOWrapper:
 
 
 def in_ascii(error: UnicodeError) -> tuple[str, int]:
-    """Return text in ASCII for the characters that an encoding lacks, and where to continue (`codecs`).
+    """Return ASCII text for the characters that an encoding lacks, and the position at which to continue.
 
-    An unknown character is shown as an escape.
+    This error handler of `codecs` writes a character without an ASCII spelling as an escape.
     """
     if not isinstance(error, UnicodeEncodeError):
         raise error

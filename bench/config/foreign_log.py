@@ -66,10 +66,10 @@ def _listed(value: Any) -> Any:
 class LogColumn(FileModel):
     """Columns of a log; their mean becomes one column of the readings file.
 
-    With a `time_format`, the cells of several columns of time (date and time of day) are joined by a blank instead.
-    The scatter of several columns is kept for a signal (`ux_sd_v`) and for `reference_v` (`reference_sd_v`) alone.
-    `unit` is the unit in the log. `add`, in the unit of the readings file, is added to the mean. A label of an
-    installation may be written as a decimal number: 1.0 is 1.
+    With a `time_format`, the cells of the columns for `time_s`, such as date and time of day, are joined by a
+    blank instead. For a signal and for `reference_v`, the standard deviation of several columns becomes a
+    further column (`ux_sd_v`, `reference_sd_v`). `unit` is the unit in the log. `add`, in the unit of the
+    readings file, is added to the mean. The label 1.0 of an installation is read as 1.
     """
 
     columns: Annotated[tuple[str, ...], BeforeValidator(_listed)]
@@ -118,10 +118,7 @@ def _repeated(names: Sequence[Any]) -> list[Any]:
 
 
 def _factor(name: str, unit: str | None) -> float:
-    """Return how many units of the readings file's column `name` make one `unit` of the log.
-
-    Raises `ValueError` if the quantities differ.
-    """
+    """Return the factor from the log's `unit` to the unit of column `name`. Raises `ValueError` if none."""
     wanted = next((si for end, si in SUFFIXES.items() if name.endswith(end)), None)
     if unit is None:
         return 1.0
@@ -146,7 +143,7 @@ def _summand(name: str, unit: str | None) -> float:
 class ConvertedLog:
     """A log converted to a readings file: its text, the number of rows, and the rows left out, with the reason.
 
-    Each row stands in the line that it has in the log, so that messages about either name the same line.
+    A row has the same line number in both files, so that a message about one of them also fits the other.
     """
 
     text: str
@@ -163,9 +160,10 @@ def convert_log(
 ) -> ConvertedLog:
     """Return a log converted to a readings file; times count from the first row of the log.
 
-    Raises `ReadingsError` with file, line and column for a column that the log lacks, for times that go back as
-    when a clock is put back, and for every cell that is no number (the first 20, then a count). With
-    `skip_bad_rows`, rows with such cells are left out instead.
+    Raises `ReadingsError` for an unreadable log, for columns that the log lacks, for a local time that goes
+    back as if a clock was put back, and for every bad row (the first 20, then their number). A row is bad if
+    a cell is no number or time, or if it has too few or too many cells. With `skip_bad_rows`, bad rows are
+    left out, unless all rows are bad.
     """
     try:
         text = content.decode("utf-8-sig")
@@ -251,8 +249,6 @@ class _HourRepeatedError(Exception):
 
 
 class _Rows:
-    """The conversion of rows of a log."""
-
     def __init__(self, header: Sequence[str], mapping: LogColumns) -> None:
         self.mapping = mapping
         self._header = header

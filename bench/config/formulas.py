@@ -171,9 +171,10 @@ class FormulaParameter(FileModel):
 class FormulaEntry(FileModel):
     """An effect that a user defines.
 
-    `expression` is the quantity that the effect adds at its `stage`. Its unit is rad for the stand and the head, g
-    for the specific force and the block's output (before the scale factor), V for the voltmeter. At the stage of
-    the stand, `adds_to` names the angle that changes.
+    `expression` is the quantity that the effect adds at its `stage`. Its unit is rad for the stand and the
+    head, g for the specific force and the block's output (before the scale factor), V for the voltmeter. At
+    the stage of the stand, `adds_to` names the angle that changes. With `per_mount`, the effect may act in
+    single mountings; with `lasts`, it acts from such a mounting to the end of the run.
     """
 
     name: Annotated[str, AfterValidator(_word)]

@@ -35,10 +35,10 @@ FORMAT: Final = "1"
 
 
 class EffectEntry(FileModel):
-    """An effect in a file: its name in the catalogue, its values, the channels and mountings affected.
+    """An effect in a file: its name in `CATALOGUE`, its values, its channels and its installations.
 
-    `either_of` lists the names of effects that the readings could not distinguish, this effect first; it is empty
-    if there were none.
+    Without `installations`, the effect acts in all of them. `either_of` lists the names of effects that the
+    readings could not distinguish, this effect first; it is empty if the readings distinguished them all.
     """
 
     name: str
@@ -63,11 +63,11 @@ class EffectEntry(FileModel):
 
 
 class OpenShape(FileModel):
-    """A part of an effect's shape whose amplitude is uncertain.
+    """A correction of the shape of an effect, by an uncertain amount.
 
-    The part is the sum of `changes` times the factor `times`, which has the standard uncertainty `u`. `of` names
-    the effect. The factors of different parts are uncorrelated. `says` describes the part for the reader of the
-    file; nothing is computed from it.
+    The correction is the sum of `changes` times the factor `times`, which has the standard uncertainty `u`.
+    `of` names the corrected effect. The factors of different corrections are uncorrelated. `says` describes
+    the correction for the reader of the file; nothing is computed from it.
     """
 
     of: str
@@ -77,14 +77,14 @@ class OpenShape(FileModel):
     changes: tuple[EffectEntry, ...] = Field(min_length=1)
 
     def applied(self, number: int) -> AppliedEffect:
-        """Return the part as an effect of amplitude `times` ± `u`; `number` counts an effect's parts from 1."""
+        """Return correction `number` (from 1) of its effect as an effect of amplitude `times` ± `u`."""
         return in_part(self.of, number, tuple(entry.applied() for entry in self.changes), self.times, self.u)
 
 
 class WithEffects(FileModel):
     """A file or section with `effects` and the user's `formulas` that they use.
 
-    `left_open` are the parts of the effects' shapes whose amplitudes are uncertain.
+    `left_open` lists uncertain corrections of the shapes of these effects.
     """
 
     if TYPE_CHECKING:
@@ -102,7 +102,7 @@ class WithEffects(FileModel):
         return tuple(entry.effect() for entry in self.formulas)
 
     def applied_effects(self) -> tuple[AppliedEffect, ...]:
-        """Return the file's effects (values in SI), then its `left_open` as effects of uncertain amplitude."""
+        """Return the file's effects (values in SI), then the corrections in `left_open` as effects."""
         count: Counter[str] = Counter()
         with CATALOGUE.also(self.own_effects()):
             applied = [entry.applied() for entry in self.effects]
@@ -113,11 +113,11 @@ class WithEffects(FileModel):
 
 
 class ModelFile(WithEffects):
-    """A model file; `parent` names the model that it extends, `data_sha256` the readings used to make it.
+    """A model file: effects that extend the model named `parent`.
 
-    `evidence` is text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard
-    deviation of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
-    `left_open` lists the parts of the effects' shapes whose amplitudes are uncertain.
+    `data_sha256` has the hashes of the readings used to make the file, separated by blanks. `evidence` is
+    text for the reader of the file; nothing is computed from it. `dark_uncertainty` is the standard deviation
+    of a reading that neither effects nor unnamed terms explain; a note warns users of the file.
     """
 
     model_file: Literal["1"]

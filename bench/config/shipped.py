@@ -40,11 +40,7 @@ def find_bench(name: str) -> Path:
 
 
 def _find(name: str, kind: str, called: str) -> Path:
-    """Return the path of the file that `name` states as a path or a shipped name, with or without `.yaml`.
-
-    An existing path takes precedence, then an edited copy in the working folder (as made by `bench init`), then a
-    shipped file.
-    """
+    """Return the existing path `name`, else the copy of that name (`bench init`), else the shipped file."""
     path = Path(name)
     if path.is_file():
         return path

@@ -1,4 +1,4 @@
-"""The block as a sensor in m/s^2: PX4, ArduPilot, Kalibr, and what their forms omit."""
+"""The block as a sensor in m/s^2 in files for PX4, ArduPilot and Kalibr, with notes on what each omits."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ class Autopilot:
     `id` and `turn` name the parameters for the sensor's id and for the rotation to the board's axes. `head`
     is the comment at the beginning of a file, `before` that above the values; `row` is the format of a
     value's line. `read` is Python code that reads names and values from such a file. With `sorted_by_name`,
-    the two values of an axis are adjacent.
+    the parameters are in alphabetical order.
     """
 
     name: str
@@ -134,7 +134,7 @@ class Autopilot:
         return dict(sorted(rows) if self.sorted_by_name else rows)
 
     def notes(self, result: BlockResult, nominal: Floats | None = None) -> list[str]:
-        """Return comment lines on what the form omits, and on values that the autopilot would reject."""
+        """Return comment lines on what the file omits, and on values that the autopilot would reject."""
         sensor = sensor_of(result, nominal)
         scale, modulus_g, vector_g = diagonal(sensor)
         limits = ((self.offset, sensor.b, self.offsets), (self.scale, scale, self.scales))
@@ -224,7 +224,7 @@ def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
-    """Return the Kalibr file: `imu0` with its model and M, and, for other readers, the bias and the rotation R."""
+    """Return the Kalibr file: `imu0` with its model and M; bias and rotation R follow for other programs."""
     sensor = sensor_of(result, nominal)
     M, R, _ = lower_triangular(sensor)
     raw = result.check[0]
@@ -253,7 +253,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
 
 
 def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str]:
-    """Return comment lines on what Kalibr's form omits."""
+    """Return comment lines on what Kalibr's file omits."""
     *_, turn_rad = lower_triangular(sensor_of(result, nominal))
     arcsec = math.degrees(turn_rad) * 3600
     if result.signs:

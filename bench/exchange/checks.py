@@ -4,7 +4,8 @@
 
 A test is three lines of Python that need no package except a reader of the form. The test computes the
 corrected accelerations of the check vectors from the numbers in the file. The test fails if one acceleration
-is off by more than `TOLERANCE` of 1 g. No test reads u, covariances or other numbers that do not give a.
+is off by more than `TOLERANCE` of 1 g. Numbers that are not used to compute accelerations, such as u and
+covariances, are not tested.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def picture(unit: str) -> list[str]:
 def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str]:
     """Return comment lines with the test of an exported file `name`.
 
-    They state how to run the test and what it `needs`; then come the three lines of the test, each marked.
+    They state how to run the test and what it `needs`; the three lines of the test follow, each after `MARK`.
     """
     of = "the numbers that give a, and of the check vectors (not of u and covariances)"
     how = f"""test of {of}: python -c "$(sed -n 's/^# {MARK}//p' {name})" {name}"""
@@ -59,7 +60,7 @@ def own_test(name: str, test: tuple[str, str, str], needs: str = "") -> list[str
 
 
 def check_lines(raw: Floats, corrected: Floats, names: str, unit: str) -> list[str]:
-    """Return the check vectors as lines: three signals, then the accelerations (20, 3) in `unit`."""
+    """Return check vectors as lines: signals `raw` (n, 3), accelerations `corrected` (n, 3) in `unit`."""
     rows = np.hstack([raw, corrected]).tolist()
     return [f"check vectors: {names} in {unit}", *(f"check: {' '.join(map(repr, row))}" for row in rows)]
 
@@ -71,7 +72,7 @@ READ_CHECKS: Final = (
 
 
 def judged(g: str = "1.0", at: int = 3, count: int = COUNT) -> str:
-    """Return the last line of a test.
+    """Return the last line of a test, which asserts that the accelerations agree with the check vectors.
 
     The test has a function `a`, which maps the first `at` numbers of a check vector to an acceleration; `g`
     is 1 g in the unit of that acceleration. `count` is the number of check vectors that the file must have.

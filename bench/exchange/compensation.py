@@ -17,7 +17,7 @@ from bench.exchange.checks import POSITIONS, READ_CHECKS, c_self_test, check_lin
 
 
 def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[str]:
-    """Return the header lines of an exported file: the compensated block `of`, the valid range, and the errors."""
+    """Return the header lines of an exported file: block (`of`), valid range, and errors of interpolation."""
     error = table.error
     return [
         f"Compensation of {of}",

@@ -1,4 +1,4 @@
-"""The forms of a calibration: JSON, CSV, C header, Excel workbook, files for autopilots."""
+"""The file formats of an exported calibration: JSON, CSV, C header, Excel workbook, files for autopilots."""
 
 from __future__ import annotations
 
@@ -288,7 +288,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
 
 
 def print_coefficients(result: BlockResult, on: Console) -> None:
-    """Print the header facts of every form, N and U0, the misalignment angles, and the intrinsic numbers."""
+    """Print the facts in every file's header, N and U0, misalignment angles, and the intrinsic numbers."""
     for line in result.head():
         on.print(line, style="bold" if line.startswith("SIMULATED") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
@@ -317,11 +317,11 @@ def _table(rows: Iterable[ReportedNumber], k: float, times: float = 1.0, unit: s
 
 @dataclass(frozen=True)
 class ExportForm:
-    """A form: its name in `words`, the suffix of file names, and the function that writes a file.
+    """A file format: its name in `words`, suffix of file names, and the function that returns the content.
 
-    `loses` is a function that returns comment lines on the parts of a result that the form omits; it is None if
-    the form omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals were converted
-    to m/s²; the default is as in `sensor_of`.
+    `loses` is a function that returns comment lines on the parts of a result that the format omits; it is
+    None if the format omits nothing. Both functions accept the scale factors (3,) in unit/g by which signals
+    were converted to m/s²; the default is as in `sensor_of`.
     """
 
     words: str

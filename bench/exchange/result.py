@@ -1,4 +1,4 @@
-"""The content of every form of a calibration: coefficients, numbers derived from them, and their origin."""
+"""The content of every exported file of a calibration: coefficients, numbers derived from them, origin."""
 
 from __future__ import annotations
 
@@ -182,8 +182,8 @@ class BlockResult:
     bench file of the result, `certificates` those of the instruments. `block_type`, `serial` and `made_at` are
     empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
-    if it is unknown, or if the result was corrected. `signs` says whose signs the scale factors have if free
-    positions alone gave the result, and is empty otherwise.
+    if it is unknown, or if the result was corrected. If free positions alone gave the result, `signs` states
+    the source of the scale factors' signs, "bench file" or "positive" by convention; otherwise it is empty.
     """
 
     block: Block

@@ -95,10 +95,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
 
 
 def _is_on_a_free_channel(data: Any, key: str) -> bool:
-    """Return whether a thermometer has a multiplexer channel that the instruments stated before it do not use.
-
-    `key` is the thermometer's key under `instruments`.
-    """
+    """Return whether the thermometer `key` has a multiplexer channel that no instrument before it uses."""
     section = part(data, "instruments", key)
     resource = part(section, "resource")
     meters = [m for m in _items(part(data, "instruments", "voltmeters")) if part(m, "resource") == resource]
@@ -120,9 +117,7 @@ def _with_pair(sensor: Any) -> set[str]:
 
 
 def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
-    """Check that the thermometers of meters and room have neither certificate nor gradient, and that the word
-    `chamber` is used only on a bench with a chamber.
-    """
+    """Check that thermometers of meters and room have no certificate or gradient, and no absent `chamber`."""
     for key in SURROUNDINGS:
         stated = part(data, "instruments", key)
         chamber = part(data, "instruments", "chamber")
@@ -253,8 +248,8 @@ _A: Final = ("current.minimum", "current.maximum", "limits.current", "current_li
 def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     """Yield the place and text of every mistake in the section on the block's supply.
 
-    A missing power supply is a mistake, too, and so is a setting beyond the limits of the block or of the power
-    supply. `data` is the bench file as written; any part of it may be missing or malformed.
+    `data` is the bench file as written, however incomplete. A missing power supply is a mistake, too, and so
+    are settings beyond the limits of the block or of the power supply.
     """
     if part(data, *_UNIT) is None:
         return

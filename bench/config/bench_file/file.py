@@ -1,4 +1,4 @@
-"""Bench files (`config/*.yaml`), and the certificates of their instruments as valid on a given day."""
+"""Bench files (`config/*.yaml`), and the certificates of their instruments as they apply on a day."""
 
 from __future__ import annotations
 
@@ -107,10 +107,7 @@ class BenchFile(FileModel):
 
     @property
     def gravity_m_s2(self) -> float | None:
-        """Local gravity, m/s²; None if the file states neither gravity nor location.
-
-        For a location, the WGS 84 formula gives gravity.
-        """
+        """Local gravity, m/s², stated or from the location (WGS 84 formula); None if neither is stated."""
         if isinstance(self.gravity, Location):
             return normal_gravity_m_s2(self.gravity.latitude, self.gravity.height)
         return self.gravity.value if isinstance(self.gravity, MeasuredGravity) else self.gravity
@@ -150,14 +147,14 @@ class BenchFile(FileModel):
         return head.backoff if isinstance(head, MotorisedHeadForm) else 0.0
 
     def installation_models(self) -> dict[str, Installation]:
-        """Return the installations by label: the paper's 1 and 2, and those in the file."""
+        """Return the installations by label: 1 and 2 of the paper, and those that the file states."""
         stated = {label: section.to_model(label) for label, section in self.installations.items()}
         return {"1": INSTALLATION_1, "2": INSTALLATION_2} | stated
 
     def stand_distributions(self) -> dict[str, Distribution]:
         """Return the distributions of the stand errors (rad, V) by their names in `STAND_ERRORS`.
 
-        The distribution of an angle that the file omits is zero.
+        An angle that the file omits has the distribution of an exact zero.
         """
         sections = {name: getattr(self.stand, name) for name in STAND_ERRORS}
         return {name: s.to_distribution() if s else Distribution(0.0) for name, s in sections.items()}
@@ -335,9 +332,9 @@ def standings(
 
 
 def without(bench: BenchFile, names: Set[str]) -> BenchFile:
-    """Return a copy of a bench in which the named instruments have no certificates.
+    """Return a copy of a bench without the certificates of the named instruments.
 
-    Thermometers away from the block keep their certificates.
+    Thermometers away from the block keep their certificates, even if they are named.
     """
     if not names:
         return bench

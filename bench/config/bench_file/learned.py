@@ -120,7 +120,7 @@ def _symmetric(covariance: Floats) -> bool:
 
 
 class MeterValuesEntry(FileModel):
-    """Gains or offsets of the meters relative to the means of their groups, and their covariance, in SI."""
+    """Gain or offset of each meter relative to the mean of its group, and their covariance, in SI."""
 
     values: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
@@ -164,7 +164,8 @@ class MetersEntry(FileModel):
 class LearnedFile(WithEffects):
     """A validated learned file: the errors of a bench, as its runs show them.
 
-    `sizes`, `contradicting` and `not_identified` are for the reader of the file; nothing is computed from them.
+    `sizes` (the learned standard deviations), `contradicting` runs and `not_identified` errors are texts for
+    the reader of the file; nothing is computed from them.
     """
 
     learned_file: Literal["1"]
@@ -212,7 +213,7 @@ def learned_for(bench: BenchFile) -> str:
 
 
 def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
-    """Read a learned file for a bench. Raises `FileMistakes`, also if it was learned from another stand."""
+    """Read a learned file. Raises `FileMistakes`, also if it was learned for a bench that differs."""
     file = load_validated(path, LearnedFile)
     if file.learned_for != learned_for(bench):
         text = (
@@ -250,7 +251,12 @@ class PriorCoefficient(FileModel):
 
 
 class PriorFile(FileModel):
-    """A validated prior file; scale factors are in the signal's unit per g, where 1 g is `per_g_m_s2` in m/s²."""
+    """A validated prior file: the expected coefficients of a further unit of a type.
+
+    Scale factors are in the unit `signal` per g, where 1 g is `per_g_m_s2` in m/s². `last` is the date of the
+    last of the `calibrations`. `covariance` (12, 12) has `dof` degrees of freedom; its correlations were
+    reduced by the fraction `shrunk`.
+    """
 
     type: str
     signal: str

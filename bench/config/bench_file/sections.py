@@ -75,7 +75,7 @@ class InstrumentsSection(FileModel):
     ] = None
 
     def all(self) -> Iterator[InstrumentForm]:
-        """Yield the section of every instrument: voltmeters, head, then the optional ones."""
+        """Yield the section of every instrument: voltmeters, head, then the optional instruments."""
         yield from self.voltmeters
         yield self.head
         for further in (self.chamber, self.level, self.thermometer, self.power_supply, *self.around.values()):
@@ -95,7 +95,7 @@ class InstrumentsSection(FileModel):
         return (*at_block, *self.around.values())
 
     def beside(self, thermometer: ThermometerForm) -> VoltmeterForm | ThermometerForm | None:
-        """The first voltmeter or earlier thermometer with the same resource as `thermometer`, or None."""
+        """The first voltmeter or thermometer that shares the resource of a later `thermometer`, or None."""
         resource = getattr(thermometer, "resource", None)
         listed: tuple[VoltmeterForm | ThermometerForm, ...] = (*self.voltmeters, *self.thermometers)
         before = takewhile(lambda one: one is not thermometer, listed)
@@ -165,10 +165,12 @@ class OperatorTruth(FileModel):
 
 
 class FaultSection(FileModel):
-    """A fault of the simulated bench, in one instrument or in all that can have it.
+    """A fault of the simulated bench, in one `instrument` or, by default, in all that can have it.
 
-    It affects commands that contain `matching`: each with `probability`, only the `at`-th, or every one. `seconds`
-    is the delay of a late reply, or the time for which connections are refused or the instrument hangs.
+    Only commands that contain `matching` count, by default all. The fault strikes each of them with
+    `probability`, or only the `at`-th, or all if neither is stated. `seconds` is the delay of a late reply,
+    or the time for which connections are refused or the instrument hangs. `error` is the error number of the
+    fault "error".
     """
 
     fault: FaultWord
@@ -197,7 +199,10 @@ class FaultSection(FileModel):
 
 
 class RoomTruth(FileModel):
-    """The simulated room: its temperature swings by ± `swing` about `ambient_temperature`; the meters lag."""
+    """The simulated room, whose temperature swings by ± `swing` about `ambient_temperature`.
+
+    The swing is a sine of the given `period`. The voltmeters follow it with the time constant `meter_lag`.
+    """
 
     swing: SizeK = 0.0
     period: Annotated[SpanS, above_zero("state a period above 0, such as '24 h'")] = DAY_S

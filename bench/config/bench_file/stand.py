@@ -94,10 +94,10 @@ MOST_SAMPLES: Final = 1_000_000
 def can_come_about(
     what: str, size: float, span: str, span_s: float, interval_s: float, timeout_s: float
 ) -> None:
-    """Raise `ValueError` for a criterion, such as of settling, that no samples can meet.
+    """Raise `ValueError` for a criterion of settling that cannot be met with at most `MOST_SAMPLES` samples.
 
-    To meet the criterion, the samples, one every `interval_s`, must vary by at most `size` during the time
-    `span_s`, before `timeout_s` has passed. The message calls the size `what` and the time `span`.
+    The criterion is that samples, one every `interval_s`, vary by at most `size` during the time `span_s`,
+    before `timeout_s` has passed. In the message, `what` is the name of `size`, and `span` that of `span_s`.
     """
     if size <= 0.0:
         raise ValueError(f"the {what} is not above 0, but no two samples are equal; state one above 0")
@@ -145,9 +145,10 @@ WarmUp = Annotated[
 class UnitSupplySection(FileModel):
     """The block's supply.
 
-    The rails are switched on in the listed order, `pause` apart, and off in reverse. Once off, the block stays off
-    for at least `least_off`. `warm_up` starts at switch-on; it is a fixed time, or ends when the signals have
-    settled. With `when_unsafe` "off", a run ends by switching off a block that it has switched or taken over.
+    The rails are switched on in the listed order, `pause` apart, and off in reverse. Once off, the block
+    stays off for at least `least_off`. `warm_up` starts at switch-on; it is a fixed time, or ends when the
+    signals have settled. With `when_unsafe` "off", a run that has switched the block, or has found
+    it on and taken it over, switches it off at the end.
     """
 
     rails: Annotated[tuple[RailSection, ...], Field(min_length=1)]
@@ -354,7 +355,7 @@ class UnitUnderTest(FileModel):
 
 
 class PopulationSection(FileModel):
-    """The normal distribution of the true error δ at a point among blocks of this type, in g."""
+    """The normal distribution of the true error δ of blocks of this type at a verification point, in g."""
 
     mean: AccelerationG = 0.0
     standard_deviation: Annotated[
@@ -460,19 +461,19 @@ class ScalePerKelvin(ErrorSize):
 
 
 class BiasPerVolt(ErrorSize):
-    """The limit of a supply voltage coefficient of the bias, for one rail, g/V."""
+    """The limit of the change of the bias with the voltage of one rail, g/V."""
 
     limit: Annotated[float, not_negative(BIAS_PER_V)]
 
 
 class ScalePerVolt(ErrorSize):
-    """The limit of a supply voltage coefficient of the scale factor, for one rail, 1/V."""
+    """The limit of the relative change of the scale factor with the voltage of one rail, 1/V."""
 
     limit: Annotated[float, not_negative(SCALE_PER_V)]
 
 
 class BiasError(ErrorSize):
-    """The limit of the repeatability of a bias from one switch-on to another, g."""
+    """The limit of the change of a bias from one switch-on to another, g."""
 
     limit: Annotated[float, not_negative(BIAS)]
 
@@ -496,9 +497,9 @@ _Factor = Annotated[float, Field(ge=0.0)]
 class ZeroRepeats(FileModel):
     """The scatter of the zeros of x, y, z between repeats, as found by `bench diagnose --together`.
 
-    `restart` is the standard deviation of the zeros between repeats; `drift` is the standard deviation of their
-    change from one repeat to the next; both are in g. `scale` is a standard deviation as a multiple of the u that
-    the readings give a zero. Exactly one of the three is stated.
+    `restart` is the standard deviation of the zeros between repeats; `drift` is the standard deviation of
+    their change from one repeat to the next; both are in g. `scale` is the standard deviation divided by the
+    u of a zero from the readings alone. Exactly one of the three is stated.
     """
 
     restart: tuple[_ZeroG, _ZeroG, _ZeroG] | None = None
@@ -521,7 +522,8 @@ class UncertaintySection(FileModel):
     """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
-    their tolerance. The deviations of temperature and rail voltages are assumed constant throughout a run.
+    their tolerance; `bench.calibration.budget.sources` has the other defaults. Unless `temperature` states a
+    correlation time, the deviations of temperature and rail voltages are assumed constant throughout a run.
     `reference_noise` is the 1/f noise of the references in the voltmeters, per decade of frequency.
     """
 

@@ -47,7 +47,7 @@ Options = tuple[str | tuple[str, str], ...]
 
 
 class DeviceSection(FileModel):
-    """Base class of instrument sections in a bench file; the form of each role derives from it."""
+    """Base class of instrument sections in a bench file; each role has a base class of its own, its form."""
 
     # build the schema at import: a faulty field is then reported as a mistake of the module that declares it
     model_config = ConfigDict(defer_build=False)
@@ -65,7 +65,7 @@ class DeviceSection(FileModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the section classes of a role's instruments if this class is the form of the role, else none."""
+        """Return the section classes of all instruments of the role if this class is its form, else ()."""
         return cls.sections_of(cls.role) if "role" in cls.__dict__ else ()
 
     def driver_options(self) -> dict[str, Any]:
@@ -215,7 +215,7 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire that the instrument's facts state, changed as the section `serial` says."""
+        """Return the setup of the wire: that in the instrument's facts, with the settings in `serial`."""
         stated = getattr(self, "serial", None)
         serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
@@ -289,10 +289,7 @@ class Certified(FileModel):
 
 
 class CertifiedGain(Certified):
-    """The correction of a voltmeter's gain on a range.
-
-    `drift` is the largest change of the gain in a year, in either direction.
-    """
+    """The correction of a voltmeter's gain on a range; `drift` is the gain's largest change in a year."""
 
     correction: Ratio = 0.0
     U: Annotated[float, not_negative(RATIO)]
@@ -307,10 +304,7 @@ class CertifiedGain(Certified):
 
 
 class CertifiedOffset(Certified):
-    """The correction of a voltmeter's zero on a range.
-
-    `drift` is the largest change of the zero in a year, in either direction.
-    """
+    """The correction of a voltmeter's zero on a range; `drift` is the zero's largest change in a year."""
 
     correction: VoltageV = 0.0
     U: Annotated[float, not_negative(VOLTAGE)]
@@ -441,7 +435,7 @@ class HeadCertificate(Certificate):
 
 
 class ChamberCertificate(Certificate):
-    """The certificate of a thermometer: corrections by temperature; the end values hold beyond the ends."""
+    """The certificate of a thermometer: corrections by temperature; beyond the table, its end values hold."""
 
     values: Annotated[tuple[TemperatureValue, ...], Field(min_length=1)]
 

@@ -167,9 +167,9 @@ Axis = Literal["+X", "-X", "+Y", "-Y"]
 class LeicaNivelSection(LevelForm, WiredForm):
     """A Leica Nivel210 (RS-232) or Nivel220 (RS-485), at a serial port or behind a terminal server.
 
-    `sensor` is its address without the N. The level is read in two positions half a turn apart. In the first
-    position, its axis `along` points along the shaft, away from an observer who faces the end of the shaft. Its
-    axis `across` points to the observer's right.
+    `sensor` is the address of the sensor without the N. The level is read in two positions half a turn apart.
+    In the first position, its axis `along` points along the shaft, away from an observer who faces the end of
+    the shaft. Its axis `across` points to the observer's right.
     """
 
     facts: ClassVar = nivel
@@ -196,10 +196,7 @@ Wire = Annotated[str, serial_or_socket("ttyUSB0", "192.0.2.60::4001")]
 
 
 class HeidenhainNd28xSection(ReadOutHeadForm):
-    """A Heidenhain display unit, ND 281B or ND 287, that shows decimal degrees.
-
-    Its port has 7 data bits, even parity and two stop bits.
-    """
+    """A Heidenhain ND 281B or ND 287 that shows decimal degrees; 7 data bits, even parity, 2 stop bits."""
 
     facts: ClassVar = nd
     for_driver: ClassVar = ("model",)
@@ -227,7 +224,7 @@ class MitutoyoMux10Section(ReadOutHeadForm):
 class EncoderLineSection(ReadOutHeadForm, LineForm):
     """A counter that answers `request` with one line of text, which holds the angle in the `unit`.
 
-    `counts_per_turn` is required for the unit counts, and refused for any other.
+    `counts_per_turn` is required for the unit "counts", and refused for any other unit.
     """
 
     facts: ClassVar = text_line

@@ -1,9 +1,10 @@
 """The known instruments: from this folder, from installed distributions, from folders of the user.
 
-A distribution declares the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module with a
-`DEVICE`. Folders are listed in the environment variable `BENCH_DEVICES` (joined by the system's path separator) or
-given with `--devices`. A bench file cannot name folders, because their code is executed. Each module or package
-directly in a folder may define a `DEVICE`; they import each other relatively (`from .facts import …`).
+A distribution declares the entry-point group `triaxial_bench.devices`; each entry is a `Device` or a module
+with a `DEVICE`. Folders are listed in the environment variable `BENCH_DEVICES` (joined by the system's path
+separator) or given with `--devices`. A bench file cannot name folders, because their code is executed. Each
+module or package directly in a folder may define a `DEVICE`; modules of a folder import each other relatively
+(`from .facts import …`).
 """
 
 from __future__ import annotations

@@ -106,15 +106,15 @@ CERTIFICATE: Final = "certificate"
 class VoltmeterTruth(FileModel):
     """The noise, the errors and the flaws of the simulated voltmeters.
 
-    `noise` switches the noise on. `accuracy` selects random errors within the maker's 90-day limits, or the errors
-    in the certificates; without it there are none. The other keys are flaws of a real meter. A source of
-    `source_ohm` is loaded by 10 MΩ unless the high impedance is on. `mains` is the amplitude of the mains voltage
-    on the signal, which an integration over whole cycles cancels. `zero_drift` is the drift of the zero per hour
-    with autozero off. `flicker` is the standard deviation of the input's 1/f noise per decade of frequency,
-    `reference_flicker` that of the reference's 1/f noise, as a fraction of the signal. `firmware` names the
-    versions of the meters in turn; "3-1-1" sends a comma after the last reading. `errors_at_start` are errors in
-    the queue at switch-on. With `real_port`, an RS-232 meter loses messages sent between a query and its reply, and
-    stops responding after ten idle minutes.
+    `noise` switches the noise on. `accuracy` selects random errors within the maker's 90-day limits, or the
+    errors in the certificates; by default the meters have no errors. The other keys are flaws of a real
+    meter. A source of `source_ohm` is loaded by 10 MΩ unless the meter's high impedance is on. `mains` is the
+    amplitude of the mains voltage on the signal, which an integration over whole cycles cancels. `zero_drift`
+    is the drift of the zero per hour with autozero off. `flicker` is the standard deviation of the input's
+    1/f noise per decade of frequency, `reference_flicker` that of the reference's 1/f noise, as a fraction of
+    the signal. `firmware` lists the versions for the meters of x, y and z; "3-1-1" sends a comma after the
+    last reading. `errors_at_start` are in the error queue at switch-on. With `real_port`, an RS-232 meter
+    loses messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -248,7 +248,10 @@ SpeedRadS = Annotated[float, not_negative(SPEED)]
 
 
 class HeadTruth(FileModel):
-    """A simulated head: whether it is homed (an encoder: referenced) at switch-on, and detects stalling."""
+    """A simulated head: its state at switch-on, and whether it detects stalling (`encoder`).
+
+    `homed` means that a motorised head is homed, or the encoder of a head that a person turns is referenced.
+    """
 
     homed: bool = True
     encoder: bool = True
@@ -313,7 +316,7 @@ class MotorisedHeadForm(HeadForm, WiredForm):
         }
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of the simulated head: keys of the section, and the speed, deg/s."""
+        """Return the options of the simulated head: values of the section, and the speed, deg/s."""
         return super().simulation_options(truth) | {"speed_deg_s": math.degrees(self.speed)}
 
 
@@ -369,7 +372,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of the simulated head: keys of the section; encoder's zero, sense, reference."""
+        """Return the options of the simulated head: values of the section, zero and sign of the encoder."""
         own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
         return super().simulation_options(truth) | own
 
@@ -425,10 +428,7 @@ class TemperatureRange(FileModel):
 
 
 class ChamberForm(TemperatureRange, DeviceSection):
-    """The settings that all chambers have: the range of temperatures that may be demanded.
-
-    `certificate` is the certificate of the chamber's thermometer.
-    """
+    """The settings that all chambers have: range of set points, and certificate of the thermometer."""
 
     role: ClassVar[Role] = "chamber"
 
@@ -450,11 +450,11 @@ class ControlledChamberForm(ChamberForm, WiredForm):
     slow_after: Annotated[SpanS, above_zero("state a time such as 5 min: air needs time")] = 300.0
 
     def limits(self) -> tuple[float, float, float | None]:
-        """Return the lowest and highest demand, °C, and the band, K (`drivers.chambers.ChamberLimits`)."""
+        """Return the lowest and highest set point, °C, and the band, K or None, for the driver."""
         return self.minimum, self.maximum, self.band
 
     def simulation_options(self, truth: ChamberTruth) -> dict[str, Any]:
-        """Return the options of the simulated chamber: keys of the section, lowest and highest set point, °C."""
+        """Return the options of the simulated chamber: values of the section, set point limits (°C)."""
         return super().simulation_options(truth) | {"lowest_c": self.minimum, "highest_c": self.maximum}
 
 
@@ -480,7 +480,7 @@ class LevelForm(DeviceSection):
 class ThermometerTruth(FileModel):
     """A simulated thermometer on the block: its error, its noise (1 σ) and its response to the air.
 
-    Without error and noise it shows block + `air_share` · (air − block), all temperatures.
+    Apart from error and noise, it shows T(block) + `air_share` · (T(air) − T(block)).
     """
 
     error: Annotated[float, reads(DIFFERENCE)] = 0.0
@@ -563,5 +563,5 @@ class WiredSupplyForm(SupplyForm, WiredForm):
         return SupplyLimits.of(self.facts, getattr(self, "model", None))
 
     def driver_options(self) -> dict[str, Any]:
-        """Return the options of the driver: keys of the section, and the limits of the outputs."""
+        """Return the options of the driver: values of the section, and the limits of the outputs."""
         return super().driver_options() | {"limits": self.limits}

@@ -86,7 +86,7 @@ class Keysight34461ASection(OneChannelForm):
 
 
 class Keithley2000Port(PortSection):
-    """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is its TX TERM."""
+    """The RS-232 settings at the front panel of a Keithley 2000; `terminator` is the setting TX TERM."""
 
     baud_rate: int = PortSection.of(keithley).baud_rate
     terminator: Literal["lf", "cr", "crlf", "lfcr"] = "lf"
@@ -216,7 +216,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
         return sensor.meter_c + sensor.probe_c + sensor.probe_slope * _ROOM_C
 
     def simulation_options(self, truth: ThermometerTruth) -> dict[str, Any]:
-        """Return the options of the simulated meter: keys of the section, errors of the sensor, model and cards."""
+        """Return the options of the simulated meter: values of the section, sensor errors, model, cards."""
         return super().simulation_options(truth) | {
             "error_c": truth.error,
             "noise_c": truth.noise,
@@ -229,7 +229,7 @@ class Keysight34970AThermometerSection(ThermometerForm, WiredForm):
 class LineThermometerSection(TemperatureRange, ThermometerForm, LineForm):
     """A thermometer that answers `request` with one line of text, which holds the temperature in °C.
 
-    A value below `minimum` or above `maximum` is refused; `tolerance` is its error limit.
+    A value below `minimum` or above `maximum` is refused; `tolerance` is the thermometer's error limit.
     """
 
     facts: ClassVar = text_line

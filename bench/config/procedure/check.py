@@ -309,9 +309,6 @@ def orientations(plan: Plan, bench: BenchFile) -> dict[float | None, Floats]:
 
 
 def undetermined(force: Floats) -> tuple[str, ...]:
-    """Return the coefficients that readings at these specific forces (n, 3) do not determine.
-
-    The result is empty if a calibration can determine all of them.
-    """
+    """Return the coefficients that readings at these specific forces (n, 3) do not determine; () if none."""
     hidden = hidden_axes(force)
     return tuple(name for name in COEFFICIENTS if ("0" if name.startswith("U0") else name[-1]) in hidden)

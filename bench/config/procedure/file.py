@@ -182,9 +182,10 @@ class LevelSection(LevelVerb):
 
 
 class InstallationVerb(FileModel):
-    """Mount the block in an installation, as the visit number `series`; by default visits are counted.
+    """Mount the block in the installation `label`, then do the steps.
 
-    With `level` the platform is levelled first.
+    `series` is the number of this visit to the installation; by default visits are numbered in sequence. With
+    `level`, the platform is levelled before the block is mounted.
     """
 
     label: str
@@ -258,8 +259,8 @@ class AngleSteps(FileModel):
 class TurnVerb(FileModel):
     """Turn through angles and do the steps at each; by default, settle and take one reading.
 
-    Points are numbered from `first_point` in the order of the list. A falling pass visits the list in reverse; each
-    point keeps its number.
+    Points are numbered from `first_point` in the order of the list. With the direction "falling", the head
+    turns through the list in reverse, and each point keeps its number.
     """
 
     angles: Annotated[
@@ -503,6 +504,6 @@ class IncludedFile(FileModel):
 
 
 class ProcedureFile(IncludedFile):
-    """A procedure file."""
+    """A procedure file: an included file that also states the name of a `procedure`."""
 
     procedure: str

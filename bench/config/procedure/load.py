@@ -316,9 +316,7 @@ class _Context:
         return f"{self.mount}.{self.pass_number}.{self.point}"
 
     def inside(self, document: Document, file: IncludedFile) -> _Context:
-        """Return the context for the steps of an included file, whose own sections override those of
-        this context.
-        """
+        """Return the context for the steps of an included file; its sections override those of this one."""
         return replace(
             self,
             document=document,

@@ -113,10 +113,7 @@ class Plan:
     def duration_by_mount_s(
         self, line_hz: float = 50.0, supply: UnitSupplySection | None = None
     ) -> dict[str, float]:
-        """Return the expected duration, s, of each visit to an installation, by name: "1", "1 (series 2)".
-
-        The time before the first mounting has the name "".
-        """
+        """Return the expected duration, s, by visit to an installation: "1", "1 (series 2)", or "" before."""
         total: dict[str, float] = {}
         if supply is not None and self.begins_on():
             total[""] = power_duration_s(SWITCHED_ON, supply)

@@ -1,9 +1,10 @@
 """The steps of a plan: frozen records of single actions. None of them touches an instrument by itself.
 
 Every step has a `key` that is unique in its plan and the same in each expansion of the procedure, such as
-"0012/read/1.2.5": the number of the step in the plan (from 1), its kind, and installation.pass.point. A series
-beyond the first follows the installation: "1s2.2.5". Readings of the shorted and of the reference input have the
-labels S and R in place of an installation.
+"0012/read/1.2.5": the number of the step in the plan (from 1), its kind, and installation.pass.point.
+Readings of series 2 of an installation (a later mounting, temperature or switch-on) have keys such as
+"1s2.2.5". Readings of the shorted and of the reference input have the labels S and R in place of an
+installation.
 """
 
 from __future__ import annotations
@@ -80,7 +81,10 @@ class AtBench(Protocol):
 
 
 class ActionVerb(FileModel):
-    """A verb of a procedure file that contains no other steps and is allowed anywhere outside an input."""
+    """A verb of a procedure file that contains no other steps.
+
+    It is allowed inside every other verb, except `power` and `temperature` inside `input`.
+    """
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
         """Yield the steps of the verb; `key("wait")` returns the key of the next step, of kind "wait"."""
@@ -348,9 +352,9 @@ class Power(Step):
 class Level(Step):
     """The level on the platform is read with the head at 0°, in two positions half a turn apart.
 
-    The head is set to 0° `settings` times. With `within_rad`, the platform is levelled before the next mounting
-    until its tilt is at most `within_rad`. Otherwise the tilt is only read. This happens at the end of the mounting
-    for which the platform was levelled.
+    The head is set to 0° `settings` times. With `within_rad`, the platform is levelled until its tilt is at
+    most `within_rad`, before the block is mounted in `installation`. Without it, the tilt is only read;
+    `installation` and `series` are then those for which the platform was last levelled.
     """
 
     NAME: ClassVar[str] = "level"
@@ -426,7 +430,10 @@ def scan_in_words(step: Read) -> str:
 
 
 def power_duration_s(step: Power, supply: UnitSupplySection | None) -> float:
-    """Return the duration of a power step, s: least time off, switching, and shortest warm-up, as far as stated."""
+    """Return the duration of a power step, s: time off, switching and shortest warm-up.
+
+    Times that neither the step nor `supply` states count as zero.
+    """
     least_off_s, switching_s, warm_up_s = (
         (0.0, 0.0, 0.0) if supply is None else (supply.least_off, supply.switching_s, supply.warm_up_s)
     )
