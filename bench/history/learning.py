@@ -1,4 +1,4 @@
-"""Learning of the errors that runs of one bench share: restricted likelihood, contradicting runs, sizes."""
+"""Learning of the errors that runs of one bench share: restricted likelihood, tests for contradicting runs."""
 
 from __future__ import annotations
 

@@ -100,7 +100,7 @@ class RunControl:
 
 
 class OperatorWish(Exception):
-    """The person answered a prompt with a wish; the step that asked is not completed."""
+    """The person answered a prompt with a wish (a command); the step that asked is not completed."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
@@ -108,7 +108,7 @@ class OperatorWish(Exception):
 
 
 class Stopped(KeyboardInterrupt):
-    """A wish stopped the run: treated like Ctrl-C, but with a known author."""
+    """An operator's wish stopped the run: treated like Ctrl-C, but with a known author."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__()
@@ -121,9 +121,9 @@ def raised(control: RunControl) -> OperatorWish | Stopped:
 
 
 class Controls:
-    """A source of wishes. This base class supplies none, for a run that nobody can control.
+    """A source of operator's commands (wishes). This base class supplies none, for a run nobody can control.
 
-    `stopped` is the wish that interrupted the program, if any.
+    `stopped` is the command that interrupted the program, if any.
     """
 
     stopped: RunControl | None = None
@@ -160,7 +160,7 @@ class _Lines:
 
 
 class ControlFile:
-    """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
+    """The operator's wishes left in a run folder, a JSON line each; lines present at construction are ignored."""
 
     def __init__(self, folder: Path) -> None:
         path = folder / CONTROL
@@ -175,7 +175,7 @@ class ControlFile:
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
-    """Append a wish to the run folder's file. Raises `OSError` if it cannot be written."""
+    """Append an operator's wish to the run folder's file. Raises `OSError` if it cannot be written."""
     _leave(folder / CONTROL, control.to_json())
 
 
@@ -363,8 +363,8 @@ class OpenPrompt:
 def problem_with_answer(prompt: Prompt, text: str) -> str:
     """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
 
-    An empty answer selects the prompt's default, if any. For a value read from a scale or a display, the rules of
-    the driver that asks apply. The function has no side effects, so it can be called during typing.
+    An empty answer selects the prompt's default, if any. A head angle must lie near the target, and a bubble on the
+    level's scale, as the driver requires. The function has no side effects, so it can be called during typing.
     """
     given = text.strip() or prompt.default or ""
     try:

@@ -306,7 +306,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still checked, that is, was lost fewer than `MOST_LOSSES` times."""
+        """Return whether an instrument is still checked; after `MOST_LOSSES` losses or failed openings, it is not."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
