@@ -306,7 +306,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still checked; after `MOST_LOSSES` losses or failed openings, it is not."""
+        """Return whether an instrument is still checked; not after `MOST_LOSSES` losses or failed openings."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
