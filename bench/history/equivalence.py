@@ -409,7 +409,7 @@ class LaboratoryJudged:
 
     @property
     def off(self) -> bool:
-        """Whether the laboratory differs significantly from the others."""
+        """Whether the laboratory differs significantly from the consensus of the others."""
         return self.p_all_looks < APART_P
 
 

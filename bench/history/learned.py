@@ -80,7 +80,7 @@ class Variance:
 
     @property
     def u_next(self) -> float:
-        """The standard deviation that applies to the next run: widened for its dof, never zero."""
+        """The standard deviation for the next run: enlarged because the variance is uncertain, never zero."""
         if self.held:
             return self.size
         nu = max(self.dof, FEW_DOF)
@@ -146,7 +146,7 @@ class Learned:
         return (*own, *WAVE_NAMES[: self.waves])
 
     def sizes(self) -> Iterator[LearnedSize]:
-        """Yield all learned quantities, from the means and the variation between mountings to the meters."""
+        """Yield all learned quantities: means, harmonics, variation between mountings, noise, drift, meters."""
         u = np.sqrt(np.diag(self.covariance))
         for j, name in enumerate(self.names):
             told = j >= len(self.stated) or u[j] < HARDLY_BETTER * self.stated[j]
@@ -287,7 +287,7 @@ class Contrasts:
 
 @dataclass(frozen=True)
 class MeterDifferences:
-    """The differences between M meters, referred to the time `day`.
+    """The differences between M meters, referred to the time `day`, in days as in `MeterRun`.
 
     Meters of different `group` (M,) cannot be compared. `used` counts the runs in which each meter read each
     channel.

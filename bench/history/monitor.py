@@ -1,4 +1,4 @@
-"""A stability monitor: two or four positions of one installation, charted over days."""
+"""A stability monitor: runs in two or four positions of one installation, charted over days."""
 
 from __future__ import annotations
 

@@ -211,7 +211,7 @@ class Layout:
         return cls(kinds, stated, tuple(ordered), typical, waves)
 
     def mean_of(self, pair: tuple[str, str]) -> int:
-        """Return the index of the mean of an angle in an installation, a pair of names."""
+        """Return the index in `means` of the mean that applies to `pair`, an angle and an installation."""
         return self.means.index(pair if pair in self.means else (pair[0], ""))
 
 

@@ -226,7 +226,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """Expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,): d signal/d angle, V/rad."""
+    """Expected `signals` (3,), V, their `covariance` (3, 3), and `slope` (3,): d signal/d angle, V/rad."""
 
     signals: Floats
     slope: Floats

@@ -1,4 +1,4 @@
-"""The operator's side of a run: wishes, answers left in the run folder, prompts, and validation of answers."""
+"""The operator's side of a run: commands (wishes), prompts, answers left in the run folder, their validation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SIGN: Final = ":"
 
 @dataclass(frozen=True)
 class WishAuthor:
-    """The author of a wish or an answer: name, role ("operator", "supervisor") and place.
+    """The author of an operator's command (wish) or answer: name, role ("operator", "supervisor") and place.
 
     `where` is "terminal", "panel", or "command" for `bench control`. In old records, which do not state the
     author, all fields are empty.
@@ -116,7 +116,7 @@ class Stopped(KeyboardInterrupt):
 
 
 def raised(control: RunControl) -> OperatorWish | Stopped:
-    """Return the exception by which a wish interrupts the current step."""
+    """Return the exception by which an operator's command interrupts the current step."""
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 

@@ -46,7 +46,7 @@ _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
 
 
 class RailFault(BenchError):
-    """A rail of the block is out of its limits; readings since the last good check are not trusted."""
+    """A supply rail of the block is out of its limits; readings since the last good check are not trusted."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ class UnitPower:
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Check the rails of a block that is on, if no person reads them and `WATCH_S` have passed.
+        """Check the rails of a block that is on, `WATCH_S` after the last check, unless a person reads them.
 
         Raises only `RailFault`.
         """

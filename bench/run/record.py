@@ -359,8 +359,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk; event types in `WITH_THE_NEXT` are forced to disk with the next event only.
-
+        On return the event is on disk, except for types in `WITH_THE_NEXT`: the next event forces them to disk.
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
         with self._shield():

@@ -206,7 +206,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the index of the step that ends a pass's last begun point; `turn` is a turn of that pass."""
+    """Return the index of the last step of the point begun last in a pass; `turn` is a turn of that pass."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -270,7 +270,7 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to continue after an early sign; return the reason for going on despite the sign.
+    """Ask how to continue after the early sign `doubt` of a misfit; return the reason for going on despite it.
 
     Raises `OperatorWish` if the person chooses to repeat something, `NoAnswer` with the sign's sentence if nobody
     answers, and `BenchError` after `MOST_ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.

@@ -100,7 +100,7 @@ class Recorder:
     now_s: Callable[[], float] = field(default=lambda: 0.0, init=False)
 
     def emit(self, kind: EventType, /, **data: Any) -> None:
-        """Record an event."""
+        """Record an event with its `data`; then record a jump of the computer's clock, if there was one."""
         event = self.record.append(kind, self.now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:

@@ -161,7 +161,7 @@ class NotSettled(BenchError):
 
 
 class Window:
-    """The samples of the most recent window, which ends at the last sample added."""
+    """The samples of the last `window_s` (see `Criterion`) before the sample added last."""
 
     def __init__(self, criterion: Criterion) -> None:
         self.criterion = criterion
