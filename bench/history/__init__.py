@@ -1,1 +1,1 @@
-"""Analyses of many runs: drift of a block, control charts, comparison of benches, sizes of a bench."""
+"""Analyses of many runs: drift of a block, control charts, comparison of benches, errors of a bench."""

@@ -1,4 +1,4 @@
-"""Bench or block: effects of units and of benches on all twelve coefficients."""
+"""Bench or block: whether calibrations differ because of the bench or the unit, in twelve coefficients."""
 
 from __future__ import annotations
 
@@ -132,8 +132,8 @@ class Sizes:
 class OutlyingEffect:
     """A unit or bench with an outlying effect on one coefficient.
 
-    `effect` is the difference of a bench from the mean of its connected set, or of a unit from the mean of its
-    type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
+    `effect` is the difference of a bench from the mean of the benches that common units link to it, or of a unit
+    from the mean of its type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
     """
 
     name: str

@@ -34,9 +34,9 @@ class Capability:
 
     Arrays are (12,), in `signal` per g for scale factors and in `signal` for biases, with g = `STANDARD_GRAVITY`.
     `stated` is a quantile of the stated u, at the probability `quantile`; `stated_most` is its upper 95 % limit.
-    `spreads` (12 items) has the scatter of repeated calibrations in excess of the stated u, the difference between
-    benches and the drift of units. `below` counts the calibrations whose stated U is below the capability, so that
-    their certificates must state the capability instead.
+    `spreads` holds, by coefficient, the scatter of repeated calibrations in excess of the stated u, the standard
+    deviation between benches, and the drift. `below` counts the calibrations whose stated U is below the
+    capability: their certificates must state the capability instead.
     """
 
     quantile: float

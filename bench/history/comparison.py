@@ -249,8 +249,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
     """Compare calibrations of one block; the reference is the earliest, or the first if any date is missing.
 
     Scale factors are converted to the local gravity of the reference. Raises `CalibrationError` if there are fewer
-    than two calibrations, or if their units differ. It is also raised for a singular covariance, unless the
-    singularity comes from the convention of free positions.
+    than two calibrations, if their units differ, or for a singular covariance. A calibration from free positions
+    alone may have a singular covariance; then only the nine intrinsic numbers are compared.
     """
     if len(snapshots) < 2:
         raise CalibrationError("a comparison needs two or more calibrations; name another run or result")

@@ -155,8 +155,8 @@ class CheckRun:
 
     `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
     `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
-    `meters` are the identities of the voltmeters. `of_meters` (12, 12) is the covariance due to their limits; it
-    counts if the run's voltmeters are not those of the baseline, and for a baseline that is a reference. `lasting`
+    `meters` are the identities of the voltmeters. `of_meters` (12, 12) is the covariance due to their limits of
+    error; it counts if no baseline run used these voltmeters, or if a `Reference` replaces the baseline. `lasting`
     (12, 12) is the covariance of all other errors that do not vary from run to run. `names` are the names of the
     values, unless these are the twelve coefficients or the nine intrinsic numbers.
     """
@@ -241,7 +241,7 @@ class ControlChart:
     """The control chart: `baseline` runs, or a `reference` in place of them, and the `later` runs judged.
 
     `shewhart` and `ewma` have a row for each later run. The EWMA skips a run that T² rejects; the row of such a
-    run is NaN. `alone` (m,) is the p-value of each baseline run compared with the other runs; it is None if there
+    run is NaN. `alone` (m,) is the p-value of each baseline run compared with the other baseline runs, None if they
     are too few. `verdicts` holds the verdict on each later run, in order. `known` is the drift of the block since
     `begun` (POSIX time, s), zero if unknown.
     """
@@ -297,12 +297,12 @@ class ControlChart:
 
     @cached_property
     def limit_t2(self) -> float:
-        """The limit of T² of a run."""
+        """The limit above which Hotelling's T² rejects a run."""
         return self.centre.joint_limit(self.design.alpha)
 
     @cached_property
     def limit_ewma(self) -> float:
-        """The limit of T² of the EWMA."""
+        """The limit above which Hotelling's T² of the EWMA rejects a run."""
         return self.centre.joint_limit(self.design.alpha_ewma(self.centre.dimensions))
 
     @cached_property

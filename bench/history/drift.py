@@ -93,10 +93,10 @@ class States:
 
     A pair consists of the variance `between` calibrations and the variance `walk` of a random walk in a year.
     `weight` is the probability of each pair; its sum over the pairs is 1. `line` (12, m, 2) is level and rate,
-    `covariance` (12, m, 2, 2) their covariance. The filter of the random walk was applied to the values and to the
-    two columns of the line's design matrix, ones and times. Its states are `walked` (12, m) and `columns` (12, m,
-    2); `left` (12, m) is the variance of the walk. `last_year` is the time from the first to the last calibration,
-    years.
+    `covariance` (12, m, 2, 2) their covariance. The filter of the random walk was run on the values, with the final
+    state `walked` (12, m), and on the regressors of the line (ones and times), with the final states `columns`
+    (12, m, 2). `left` (12, m) is the variance of the walk. `last_year` is the time from the first to the last
+    calibration, years.
     """
 
     last_year: float
@@ -147,7 +147,7 @@ class States:
 class OfUnit:
     """The drift of a unit in the `nine` intrinsic numbers and in the `twelve` coefficients.
 
-    Notes name other effects that may look like drift.
+    `notes` name other effects that may look like drift.
     """
 
     unit: str

@@ -59,7 +59,7 @@ class Participants:
 
     @cached_property
     def between_dof(self) -> int:
-        """Degrees of freedom between benches: the number of benches minus the number of connected sets."""
+        """Degrees of freedom between benches: number of benches minus number of sets linked by common units."""
         both = np.linalg.matrix_rank(np.concatenate([self.Z_unit, self.Z_bench], axis=1))
         return int(both) - int(self.unit.max()) - 1
 
@@ -388,10 +388,10 @@ LEAST_LABORATORIES: Final = 3
 
 @dataclass(frozen=True)
 class LaboratoryJudged:
-    """A laboratory's m numbers compared with the Mandel-Paule consensus of all others.
+    """A laboratory's m numbers compared with the Mandel-Paule consensus of all other laboratories.
 
     `difference` (m,) is the laboratory's value minus the consensus. Its standard uncertainty `u` (m,) combines the
-    laboratory's stated u with the u of the consensus, which includes the `dark` uncertainty (m,) of the others.
+    laboratory's own u with the u of the consensus, which includes the others' `dark` uncertainty (m,).
     `chi2` tests all m numbers jointly; `p_all_looks` is its p-value after Holm's correction over laboratories.
     """
 
@@ -409,7 +409,7 @@ class LaboratoryJudged:
 
     @property
     def off(self) -> bool:
-        """Whether the laboratory differs significantly from the others."""
+        """Whether the laboratory differs significantly from the consensus of the others."""
         return self.p_all_looks < APART_P
 
 
@@ -433,11 +433,11 @@ class Drift:
 
 
 def transport_dark(drifts: Sequence[Drift], names: Sequence[str]) -> Floats:
-    """Return the standard deviation (m,) of a travelling unit's numbers between stops, in excess of u.
+    """Return the standard deviation (m,) that travel adds to each of a unit's numbers `names`, beyond u.
 
     It is the Mandel-Paule solution for changes with the variance u^2 + 2 dark^2, and 0 for changes within u. If no
-    change is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few returns
-    must not widen u by chance.
+    change in `drifts` is significant after Holm's correction, the result is 0 for all numbers: the scatter of a few
+    changes must not widen u by chance.
     """
     found = np.zeros(len(names))
     changed = any(holm(np.array([drift.p for drift in drifts])) < APART_P) if drifts else False
@@ -456,8 +456,8 @@ def against_others(
 ) -> tuple[LaboratoryJudged, ...]:
     """Compare each of n laboratories with the Mandel-Paule consensus of all other laboratories.
 
-    `values` (n, m) have the `covariances` (n, m, m). `transport` (m,) is the standard deviation of the unit's state
-    between laboratories (`transport_dark`), which widens u. Raises `CalibrationError` for fewer than three
+    `values` (n, m) have the `covariances` (n, m, m). `transport` (m,) is the standard deviation that travel adds
+    to the unit's numbers (`transport_dark`); it widens u. Raises `CalibrationError` for fewer than three
     laboratories, because two cannot show which one deviates.
     """
     n, m = values.shape

@@ -80,7 +80,7 @@ class Variance:
 
     @property
     def u_next(self) -> float:
-        """The standard deviation that applies to the next run: widened for its dof, never zero."""
+        """The standard deviation for the next run: enlarged because the variance is uncertain, never zero."""
         if self.held:
             return self.size
         nu = max(self.dof, FEW_DOF)
@@ -93,7 +93,7 @@ class Variance:
 class Contradiction:
     """A run that contradicts the others.
 
-    `what` names the quantity, `size` is its ratio to the expected value, `p` the p-value after correction.
+    `what` names the quantity, `size` is its ratio to the value expected from the other runs, `p` Holm's p-value.
     """
 
     run: str
@@ -146,7 +146,7 @@ class Learned:
         return (*own, *WAVE_NAMES[: self.waves])
 
     def sizes(self) -> Iterator[LearnedSize]:
-        """Yield all learned quantities: means, mountings, noise, setting error, drift, harmonics, meters."""
+        """Yield all learned quantities: means, harmonics, variation between mountings, noise, drift, meters."""
         u = np.sqrt(np.diag(self.covariance))
         for j, name in enumerate(self.names):
             told = j >= len(self.stated) or u[j] < HARDLY_BETTER * self.stated[j]
@@ -267,11 +267,11 @@ def lengths_and_biases(coefficients: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class Contrasts:
-    """One quantity of M meters: `values` (M,) relative to the mean of each group, with `covariance` (M, M).
+    """Gain or zero of M meters: `values` (M,) relative to the meter's group mean, with `covariance` (M, M).
 
-    `freedom` (M,) are the degrees of freedom of the difference from the first meter of the group (inf for that
-    meter). `between` is the standard deviation between runs of a block beyond the stated u. All values are in SI
-    units.
+    Meters of a group can be compared. `freedom` (M,) are the degrees of freedom of the difference from the first
+    meter of the group (inf for that meter). `between` is the standard deviation between runs of a block beyond
+    the stated u. All values are in SI units.
     """
 
     values: Floats
@@ -287,7 +287,7 @@ class Contrasts:
 
 @dataclass(frozen=True)
 class MeterDifferences:
-    """The differences between M meters, referred to the time `day`.
+    """The differences between M meters, referred to the time `day`, in days as in `MeterRun`.
 
     Meters of different `group` (M,) cannot be compared. `used` counts the runs in which each meter read each
     channel.

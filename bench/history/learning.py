@@ -1,4 +1,4 @@
-"""Learning of the errors that runs of one bench share: restricted likelihood, contradicting runs, sizes."""
+"""Learning of the errors that runs of one bench share: restricted likelihood, tests for contradicting runs."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Weighed:
 
     @classmethod
     def of(cls, body: RunSums, theta: Floats, means: int) -> Weighed:
-        """Return the weighted sums for variances (k,)."""
+        """Return the sums of `body`, weighted for variances `theta` (k,); `means` is the number of means."""
         c = body.columns
         gram = body.by_mean(means)
         root = np.sqrt(np.append(theta, 0.0)[body.random])

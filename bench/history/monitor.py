@@ -1,4 +1,4 @@
-"""A stability monitor: two or four positions of one installation, charted over days."""
+"""A stability monitor: runs in two or four positions of one installation, charted over days."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ LEAST_BASELINE: Final = 3
 
 
 def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
-    """Return the bias (g) and scale factor of each axis that was read both up and down.
+    """Return a check run with the bias (g) and the scale factor of each axis that was read up and down.
 
-    With two such axes, the angle (deg) between them is returned, too. `signal` (n, 3) was read at the nominal
-    `force` (n, 3), g. The u follows from the scatter of repeats. Raises `CalibrationError` unless there are one or
+    With two such axes, it also has the angle (deg) between them. `signal` (n, 3) was read at the nominal specific
+    force `force` (n, 3), g. The u follows from the residuals. Raises `CalibrationError` unless there are one or
     two such axes, and enough readings for u.
     """
     up, down = force.max(axis=0, initial=0.0) > LEAST_G, force.min(axis=0, initial=0.0) < -LEAST_G

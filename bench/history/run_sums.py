@@ -37,9 +37,9 @@ class RunFit:
     `y` (n, 3) are residuals, with the fitted contribution of the stand angles added back. `X` (n, 3, …) are
     derivatives by the run's own unknowns: 12 coefficients and any effects. `stand` (n, 3, a) are derivatives by the
     stand angles `angles` (a,), each a name and an installation; `levels` (a, 2) has each angle as measured by a
-    spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) is du/dphi. `waves` (n, 3, 2 WAVES) are
-    harmonics of the head; `walk` (n, q) are shapes of a random walk per root hour. `scatter` is the scatter of
-    repeats, `floor` the lowest credible noise.
+    spirit level, with its u, rad (NaN if unmeasured). `slope` (n, 3) are derivatives of the signals by the head
+    angle, `waves` (n, 3, 2 WAVES) by the harmonics of the head's scale. `walk` (n, q) are q shapes of a bias that
+    walks at random by 1 per root hour. `scatter` is the scatter of repeats, `floor` the least noise assumed.
     """
 
     name: str
@@ -181,10 +181,10 @@ class RunSums:
 class Layout:
     """The parameters that the runs of a bench may share, in order.
 
-    `kinds` are the names of stand angles with `stated` (kinds,) u, rad. `means` are pairs of an angle and an
-    installation (empty for all) that have a mean. The variances are those of the kinds, then of the drift of
-    x, y and z in units of `walk` squared (`walk` is in signal units per root hour). With `waves`, the
-    harmonics of the head are parameters, too.
+    `kinds` are the names of stand angles, `stated` (kinds,) their u, rad. Each pair in `means`, an angle and an
+    installation ("" for all), has a mean. The variances are those of the kinds, then of the drift of x, y and z
+    in units of `walk` squared (`walk` is in signal units per root hour). With `waves`, the harmonics of the
+    head's scale are parameters, too.
     """
 
     kinds: tuple[str, ...]
@@ -211,7 +211,7 @@ class Layout:
         return cls(kinds, stated, tuple(ordered), typical, waves)
 
     def mean_of(self, pair: tuple[str, str]) -> int:
-        """Return the index of the mean of an angle in an installation, a pair of names."""
+        """Return the index in `means` of the mean that applies to `pair`, an angle and an installation."""
         return self.means.index(pair if pair in self.means else (pair[0], ""))
 
 

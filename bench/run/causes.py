@@ -29,7 +29,7 @@ from drivers.angles import format_dms, wrapped_rad
 
 
 class Kind(StrEnum):
-    """The kinds of mistakes that an early sign can name."""
+    """The kinds of mistakes that an `EarlySign` can name as causes of a misfit."""
 
     CABLING = "cabling"
     ROTATION = "rotation"
@@ -202,11 +202,11 @@ class Suspect:
 
 @dataclass(frozen=True)
 class Member:
-    """A mistake supposed in a replay of the readings.
+    """One supposed mistake, under which `Inquiry.replay` judges all readings again.
 
-    `cabling` (3, 3) corrects the signals of all readings. `pose`, an index into a sighting's `poses`, applies from
-    reading number `since` on, or only at the reading `reading` if that is stated. At this reading, `shift` is the
-    number of a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` if the reading is left out.
+    `cabling` (3, 3) corrects the signals of all readings. `pose` is an index into `Sighting.poses`. It applies
+    from reading number `since` on, or only at reading number `reading`, if one is stated. `shift` applies at that
+    reading alone: the number of a shift of unknown size, `AS_IT_IS` for none, or `ABSENT` to leave it out.
     """
 
     supposed: Supposition
@@ -229,9 +229,9 @@ class Member:
 class ReplayedReadings:
     """The result of replaying n readings under m supposed mistakes ("members").
 
-    `state` is each member's expectation after the last reading. `cost` (m,) is each member's cost (-2 ln
+    `state` holds each member's Kalman filter after the last reading. `cost` (m,) is each member's cost (-2 ln
     likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
-    which readings updated each member's expectation.
+    which readings updated each member's filter.
     """
 
     state: Expectation
@@ -488,7 +488,7 @@ def _settings(sighting: Sighting) -> list[OtherPose]:
 
 
 def candidates(history: Sequence[Sighting]) -> list[int]:
-    """Return the indices of the latest readings at which the model was too uncertain to reveal a mistake."""
+    """Return the indices of earlier readings that may hide a mistake, at most the latest `MOST_CANDIDATES`."""
     poor = [i for i, s in enumerate(history[:-1]) if s.taken and s.poorly_known and not s.struck]
     return poor[-MOST_CANDIDATES:]
 
@@ -515,7 +515,7 @@ CLEARLY: Final = 5.0
 
 
 class Confidence:
-    """Decides whether an early sign stops the run, and remembers the mistakes that a person has accepted."""
+    """Decides whether a misfit stops the run, and remembers the mistakes that a person has accepted."""
 
     def __init__(self, readings: int) -> None:
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
@@ -526,15 +526,15 @@ class Confidence:
         self._undecided: tuple[Sighting, list[Suspect]] | None = None
 
     def mounted(self) -> None:
-        """Allow stops again and forget the undecided reading, because the block was mounted again."""
+        """Allow stops again, because the block was mounted again; forget a misfit with several causes."""
         self._silent, self._undecided = False, None
 
     def forget(self) -> None:
-        """Allow stops again; forget undecided and unexplained misfits, because readings are repeated."""
+        """Allow stops again and forget earlier misfits, because readings are repeated."""
         self._silent, self._undecided, self._unexplained_v = False, None, 0.0
 
     def went_on(self, sighting: Sighting) -> None:
-        """Accept the lasting mistakes just named; do not stop until a reading fits, a remount or a redo."""
+        """Accept the lasting mistakes just named; no stop until a reading fits, is redone or follows a remount."""
         self._silent = True
         for kind in self._last:
             if kind in LASTING:

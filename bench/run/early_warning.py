@@ -86,8 +86,8 @@ class EarlyWarning:
 
     `nominal_v_g` are the block's nominal scale factors with their signs, V/g. `stand_u` maps the stand's angles
     (rad), "setting_error" (rad) and "voltmeter_error" (V) to their standard uncertainties. `readings` is the number
-    of readings of the whole run. `following` maps the place of a reading to the head angle (rad) of the next
-    reading on the same mounting.
+    of readings of the whole run. `following` maps the `Place` of a reading (series, installation, pass, point) to
+    the head angle (rad) of the next reading on the same mounting.
 
     The model does not learn from a reading that does not fit. One mistake therefore does not spoil later
     expectations, and a lasting mistake is reported at every reading. Call `recall` first in a resumed run.
@@ -158,7 +158,7 @@ class EarlyWarning:
             self._confidence.went_on(self._history[-1])
 
     def foresee(self, reading: Reading) -> ReadingJudgement:
-        """Judge a hypothetical reading without learning from it."""
+        """Return the judgement of a hypothetical reading, without learning from it."""
         ahead = copy.deepcopy(self)
         sighting = ahead._sight(reading)
         return ahead._state.judge(sighting.signal_v, sighting.pose, ahead.noise)
@@ -175,10 +175,10 @@ class EarlyWarning:
         return ExpectedSignals(-judged.residual[0], slope, judged.covariance[0])
 
     def take(self, reading: Reading) -> list[EarlySign]:
-        """Judge a reading and learn from it; return the early signs, usually none.
+        """Judge a reading and learn from it; return the early signs of a misfit, usually none.
 
-        A reading without a known orientation of the block is ignored: no head angle, or an installation that is
-        free, shorted, reference or missing in the model. A repeated reading replaces the earlier one.
+        A reading without a head angle is ignored, and so is one in an installation that the model lacks or that
+        is `UNORIENTED` (free position, shorted inputs, reference). A repeated reading replaces the earlier one.
         """
         self.judged = None
         if reading.angle_deg is None or reading.installation not in self._oriented:

@@ -294,7 +294,7 @@ def result_from_json(data: Mapping[str, Any]) -> Result | None:
 class EventType(StrEnum):
     """The types of events; the docstring of each describes the fields of `Event.data`.
 
-    An event caused by a wish states the author of the wish in `by`, `role` and `where`, as far as known.
+    An event caused by an operator's command states its author in `by`, `role` and `where`, as far as known.
     """
 
     RUN_STARTED = "run_started"

@@ -79,10 +79,10 @@ class NoiseSizes:
 
 
 class RepeatNoise:
-    """The standard deviations of a reading from repeats, never below those stated in the bench file.
+    """The standard deviations of a reading, estimated from repeats; never below the bench file's values.
 
-    The stated values include errors that repeats do not reveal (the meters' gain, the head's graduation). In the
-    estimate, they count as much as repeats with `STATED_WORTH` degrees of freedom.
+    The bench file's values include errors that repeats do not reveal (the meters' gain, the head's graduation). In
+    the estimate, these values count as much as repeats with `STATED_WORTH` degrees of freedom.
     """
 
     def __init__(self, stated: NoiseSizes) -> None:
@@ -227,7 +227,7 @@ class Expectation:
 
 @dataclass(frozen=True)
 class ExpectedSignals:
-    """Expected `signals` (3,) of a reading, V, their `covariance`, and `slope` (3,): d signal/d angle, V/rad."""
+    """Expected `signals` (3,), V, their `covariance` (3, 3), and `slope` (3,): d signal/d angle, V/rad."""
 
     signals: Floats
     slope: Floats
@@ -286,7 +286,7 @@ QUARTER_TURNS: Final = _quarter_turns()
 
 
 def orientations(installations: Mapping[str, Installation], label: str) -> dict[str, Installation]:
-    """Return the other possible orientations of a block on the platform, by sentences that describe them.
+    """Return the other possible orientations of a block on the platform, each keyed by a sentence on it.
 
     They are installation `label` turned by quarter turns; orientations of known installations are left out.
     """
@@ -314,10 +314,10 @@ class Sighting:
     from the reading. `poorly_known` means that the model was too uncertain to reveal a mistake in the reading.
     `struck` means that the reading is known to be wrong or was repeated.
 
-    `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in each other
-    installation or orientation, and the poses at each other setting of the head. `sat_before` is the installation
-    of the previous mounting. The following are head angles, rad, or None without such a reading: `last_rad` at the
-    previous reading on this mounting, `pivot_rad` at the last one that fitted, `next_rad` at the next reading.
+    `poses` are, in this order: the recorded pose, the pose with the head's sense reversed, the poses in other
+    installations or orientations, and the poses at head angles set by mistake. `sat_before` is the installation of
+    the previous mounting. Three head angles, rad, are None without such a reading: `last_rad` at the previous
+    reading on this mounting, `pivot_rad` at the last one that fitted, `next_rad` at the next reading.
     """
 
     place: str

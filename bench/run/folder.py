@@ -249,7 +249,7 @@ class Digest:
 
     @classmethod
     def of(cls, run: Run) -> Digest:
-        """Return the digest of a run. Raises `RecordError` if the run cannot be read."""
+        """Return the digest of a run, read from its folder. Raises `RecordError` if it cannot be read."""
         history = run.history
         return cls(history.state, len(history.readings), history.problems)
 

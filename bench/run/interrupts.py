@@ -37,7 +37,7 @@ def interrupt_main() -> None:
 
 
 class Interrupts:
-    """A context in which the first signal of `numbers` raises `KeyboardInterrupt`; `shield` delays this.
+    """A context in which the first signal among `numbers` raises `KeyboardInterrupt`; `shield` delays it.
 
     A second signal, or any signal after `hold`, only sets `haste`, which shortens waits for instruments. After
     `release`, a first signal raises as before, and a second one ends the program by `end(status)`. If Python drops
@@ -94,9 +94,9 @@ class Interrupts:
         self._held = True
 
     def release(self, last_words: str) -> None:
-        """End the shutdown once the bench is safe; the remaining work can be done at another time.
+        """End the shutdown, because the bench is safe: a signal raises `KeyboardInterrupt` again.
 
-        `last_words` are printed if a second signal ends the program. Raises `KeyboardInterrupt` if a signal was
+        A second signal then prints `last_words` and ends the program. Raises `KeyboardInterrupt` if a signal was
         received before.
         """
         self._last_words, self._held = last_words, False

@@ -63,9 +63,9 @@ LISTEN_S: Final = 0.1
 
 
 class WishListener(Controls):
-    """Reads the wishes left in a run folder; as a context, it interrupts the main thread at a wish to stop.
+    """Reads the wishes (operator's commands) left in a run folder; `stopped` is the first wish to stop.
 
-    `stopped` is the first wish to stop that was received.
+    As a context, it interrupts the main thread at a wish to stop.
     """
 
     def __init__(self, controls: ControlFile, interrupt: Callable[[], None] = interrupt_main) -> None:
@@ -126,9 +126,9 @@ class _Elsewhere(Exception):
 class Asker:
     """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `answers_read` answers in the folder are skipped. Until `attach` is called, `tell` records the events,
-    and only a wish to stop is obeyed. `answered_by` is the author of the last answer. The class implements
-    `drivers.interfaces.WatchingPerson`.
+    The first `answers_read` answers in the folder are skipped. `tell` records the events. Until `attach` is called,
+    prompts accept no wish (operator's command). `answered_by` is the author of the last answer. The class
+    implements `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(
@@ -159,7 +159,7 @@ class Asker:
         self._looked_s = 0.0
 
     def attach(self, tell: Tell, controls: Controls) -> None:
-        """Serve a run from now on: record events by `tell`, and obey the wishes of `controls`."""
+        """Serve a run from now on: record events by `tell`, and obey the operator's commands from `controls`."""
         self._tell, self._controls, self._wishes = tell, controls, None
         if self.terminal is not None:
             self.terminal.wishes = None
@@ -167,8 +167,8 @@ class Asker:
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt; return the first valid answer, or an invalid answer typed at the terminal.
 
-        The caller rejects an invalid answer and calls again; the record counts both calls as one question. Raises
-        `OperatorWish` for a wish, and `NoAnswer` at the end of the terminal's input.
+        The caller rejects an invalid answer and asks again; the record then shows one question, not two. Raises
+        `OperatorWish` for an operator's command, and `NoAnswer` at the end of the terminal's input.
         """
         question = prompt.id.rpartition("#")[0]
         if not question or question != self._refused:

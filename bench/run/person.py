@@ -1,4 +1,4 @@
-"""The operator's side of a run: wishes, answers left in the run folder, prompts, and validation of answers."""
+"""The operator's side of a run: commands (wishes), prompts, answers left in the run folder, their validation."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SIGN: Final = ":"
 
 @dataclass(frozen=True)
 class WishAuthor:
-    """The author of a wish or an answer: name, role ("operator", "supervisor") and place.
+    """The author of an operator's command (wish) or answer: name, role ("operator", "supervisor") and place.
 
     `where` is "terminal", "panel", or "command" for `bench control`. In old records, which do not state the
     author, all fields are empty.
@@ -100,7 +100,7 @@ class RunControl:
 
 
 class OperatorWish(Exception):
-    """The person answered a prompt with a wish; the step that asked is not completed."""
+    """The person answered a prompt with a wish (a command); the step that asked is not completed."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__(control.wish.value)
@@ -108,7 +108,7 @@ class OperatorWish(Exception):
 
 
 class Stopped(KeyboardInterrupt):
-    """A wish stopped the run: treated like Ctrl-C, but with a known author."""
+    """An operator's wish stopped the run: treated like Ctrl-C, but with a known author."""
 
     def __init__(self, control: RunControl) -> None:
         super().__init__()
@@ -116,14 +116,14 @@ class Stopped(KeyboardInterrupt):
 
 
 def raised(control: RunControl) -> OperatorWish | Stopped:
-    """Return the exception by which a wish interrupts the current step."""
+    """Return the exception by which an operator's command interrupts the current step."""
     return Stopped(control) if control.wish is Wish.STOP else OperatorWish(control)
 
 
 class Controls:
-    """A source of wishes. This base class supplies none, for a run that nobody can control.
+    """A source of operator's commands (wishes). This base class supplies none, for a run nobody can control.
 
-    `stopped` is the wish that interrupted the program, if any.
+    `stopped` is the command that interrupted the program, if any.
     """
 
     stopped: RunControl | None = None
@@ -160,7 +160,7 @@ class _Lines:
 
 
 class ControlFile:
-    """The wishes left in a run folder, one JSON line each; lines present at construction are ignored."""
+    """The operator's wishes left in a run folder, a JSON line each; lines present at construction are ignored."""
 
     def __init__(self, folder: Path) -> None:
         path = folder / CONTROL
@@ -175,7 +175,7 @@ class ControlFile:
 
 
 def leave_wish(folder: Path, control: RunControl) -> None:
-    """Append a wish to the run folder's file. Raises `OSError` if it cannot be written."""
+    """Append an operator's wish to the run folder's file. Raises `OSError` if it cannot be written."""
     _leave(folder / CONTROL, control.to_json())
 
 
@@ -363,8 +363,8 @@ class OpenPrompt:
 def problem_with_answer(prompt: Prompt, text: str) -> str:
     """Return a description of the fault in an answer; empty if the answer fits the prompt's kind and limits.
 
-    An empty answer selects the prompt's default, if any. For a value read from a scale or a display, the rules of
-    the driver that asks apply. The function has no side effects, so it can be called during typing.
+    An empty answer selects the prompt's default, if any. A head angle must lie near the target, and a bubble on the
+    level's scale, as the driver requires. The function has no side effects, so it can be called during typing.
     """
     given = text.strip() or prompt.default or ""
     try:

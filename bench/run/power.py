@@ -46,7 +46,7 @@ _PASSING: Final = (InstrumentLost, BadReading, InstrumentRefused)
 
 
 class RailFault(BenchError):
-    """A rail of the block is out of its limits; readings since the last good check are not trusted."""
+    """A supply rail of the block is out of its limits; readings since the last good check are not trusted."""
 
 
 @dataclass(frozen=True)
@@ -61,10 +61,10 @@ class Feeding:
 class UnitPower:
     """The block's power supply during a run; `now_s` returns the bench time since the run began, s.
 
-    `nap` is called repeatedly during waits and handles wishes; `tell` records events. `on` says whether the block
-    was on after the last switching or check. `off_since_s` is the value of `now_s` when the block was switched off,
-    None if unknown; `on_since_s` is the value of `clock` when it was switched on, s. `in_charge` says whether this
-    run has switched the block, or found it on and took it over.
+    `nap` is called repeatedly during waits and handles the operator's commands; `tell` records events. `on` says
+    whether the block was on after the last switching or check. `off_since_s` is the value of `now_s` when the block
+    was switched off, None if unknown; `on_since_s` is the value of `clock` when it was switched on, s. `in_charge`
+    says whether this run has switched the block, or found it on and took it over.
     """
 
     supply: PowerSupply
@@ -251,7 +251,7 @@ class UnitPower:
         return self._seen if self.supply.asks_person else self.look(key)
 
     def watch(self, key: str) -> None:
-        """Check the rails of a block that is on, if no person reads them and `WATCH_S` have passed.
+        """Check the rails of a block that is on, `WATCH_S` after the last check, unless a person reads them.
 
         Raises only `RailFault`.
         """
@@ -394,11 +394,11 @@ def take_up(
     switch: Switch,
     another_visit: Callable[[Read], None],
 ) -> None:
-    """Restore the block's power state before step `first` of a resumed run.
+    """Switch the block on before step `first` of a resumed run, if the plan has it on there.
 
-    The block is warmed up again if it was not warm yet, or if it was off according to the record, the supply or the
-    person. If it was off between the readings of a visit to an installation, the remaining readings form a new
-    visit, and `another_visit` is called with the first of them.
+    `switch` warms the block up again if it was not warm yet, or if it was off according to the record, the supply
+    or the person. If it was off and the present mounting already has readings, `another_visit` is called with the
+    next reading, so that the remaining readings count as those of a new mounting.
     """
     if not _on_at(plan, first):
         return

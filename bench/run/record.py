@@ -91,7 +91,7 @@ class History:
     power: list[tuple[float, str]] = field(default_factory=list)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
-        """Return early signs whose wrong reading was not repeated, and decisions to continue despite them."""
+        """Return the early signs whose reading at fault was not repeated, and the decisions to continue there."""
         steps: dict[tuple[int, str, int, int], int] = {}
         found: list[tuple[int, Event]] = []  # each with the step of the reading at fault
         for event in self.events if self.progress.signs else ():
@@ -243,9 +243,9 @@ class ResumePoint:
 def resume_point(plan: Plan, history: History) -> ResumePoint:
     """Return the point at which a run is resumed; `step` is `len(plan.steps)` when nothing is left to do.
 
-    If the run stopped between a turn and the readings of its point, the head may have been moved since. Therefore
-    the turn and the steps after the point's last reading are repeated. Finished readings are never repeated. Raises
-    `RecordError` if the record mentions steps that the plan lacks.
+    If the run stopped within a point that lacks a reading, the head may have been moved since. Therefore the turn
+    to this point is repeated, then the steps after the last finished reading of the point. Finished readings are
+    never repeated. Raises `RecordError` if the record mentions steps that the plan lacks.
     """
     progress = history.progress
     known = progress.done | progress.skipped | progress.left_out
@@ -359,8 +359,7 @@ class Record:
     def append(self, kind: str, bench_s: float, /, **data: Any) -> Event:
         """Write one event and return it.
 
-        On return the event is on disk; event types in `WITH_THE_NEXT` are forced to disk with the next event only.
-
+        On return the event is on disk, except for types in `WITH_THE_NEXT`: the next event forces them to disk.
         Raises `RecordError` (disk full, …), or `ValueError` for an event that is invalid in the present state.
         """
         with self._shield():

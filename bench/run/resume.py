@@ -24,9 +24,9 @@ class PlanProgress:
     identities by name. `remounts` maps (series, installation) to the series number of the readings after an
     unplanned remounting.
 
-    `doubt` is the early sign that stopped the run, until a person has decided how to continue. `in_vain` holds the
-    steps whose point was redone because of an early sign, `gone_on` the steps where a person continued despite an
-    early sign. `signs` counts the early signs.
+    `doubt` is the early sign of a misfit that stopped the run, until a person has decided how to continue. Of the
+    readings at which the run stopped so, `in_vain` holds the steps whose point was redone, and `gone_on` the steps
+    after which a person continued. `signs` counts all early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
@@ -168,7 +168,7 @@ def turn_before(plan: Plan, step: int, without: Collection[int] = ()) -> int:
 def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
     """Return whether a reading remains to be taken between `step` and the next mounting.
 
-    Also return True while an early sign is unanswered, because its reading may be redone.
+    After a misfit that stopped the run, return True until a person has decided: the reading may be repeated.
     """
     if progress.doubt is not None:
         return True
@@ -177,10 +177,10 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
-    """Return the index of the turn begun last, or `step` if a step of `ENDS_A_POINT` was begun after that turn.
+    """Return the index of the turn begun last; `step` if there is none or an `ENDS_A_POINT` step was begun since.
 
-    `turn_before` follows the order of the plan; this function follows the order of execution, which differs when
-    points are chosen during the run. The step `step` itself is ignored.
+    Steps left out, and `step` itself, are ignored. `turn_before` follows the order of the plan; this function
+    follows the order of execution, which differs when points are chosen during the run.
     """
     begun = (i for i in progress.begun_s if i != step and i not in progress.left_out)
     own = [i for i in begun if isinstance(plan.steps[i], Turn | ENDS_A_POINT)]
@@ -189,7 +189,7 @@ def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:
 
 
 def end_of_point(plan: Plan, step: int) -> int:
-    """Return the index of the step that follows the point of `step`, or the number of steps."""
+    """Return the index of the step that follows the point of `step`; the number of steps if none follows."""
     after = range(step + 1, len(plan.steps))
     return next((i for i in after if isinstance(plan.steps[i], Turn | ENDS_A_POINT)), len(plan.steps))
 
@@ -206,7 +206,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the last step of the last point begun in the pass of the turn at index `turn`."""
+    """Return the index of the last step of the point begun last in a pass; `turn` is a turn of that pass."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
@@ -270,7 +270,7 @@ def pause_prompt(now_s: float) -> Prompt:
 
 
 def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
-    """Ask how to continue after an early sign; return the reason for going on despite the sign.
+    """Ask how to continue after the early sign `doubt` of a misfit; return the reason for going on despite it.
 
     Raises `OperatorWish` if the person chooses to repeat something, `NoAnswer` with the sign's sentence if nobody
     answers, and `BenchError` after `MOST_ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.
@@ -325,9 +325,9 @@ class Redo:
 
 
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
-    """Return the steps that the wish `wish`, received at step `index`, repeats.
+    """Return the steps to repeat for a `wish` (operator's command) received at step `index`.
 
-    Return None if no turn precedes it since the block was mounted or levelled, or got a new set point.
+    Return None if the head was not turned since the block was mounted or levelled, or got a new set point.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None

@@ -71,7 +71,7 @@ class RunAborted(Exception):
 class People:
     """The people of a run, who answer its prompts and whose commands ("wishes") it obeys.
 
-    `decider` is asked how to continue after an early sign; by default it is `person`. `asker` is the `Asker` behind
+    `decider` is asked how to continue after a misfit; by default it is `person`. `asker` is the `Asker` behind
     `person` or `decider`, if a real person answers. `patience` is the clock used during a pause: real time, even if
     the bench is simulated. `hold_signals` keeps later signals from raising exceptions. `resumed_by` is the person
     who resumed the run, if known.
@@ -100,7 +100,7 @@ class Recorder:
     now_s: Callable[[], float] = field(default=lambda: 0.0, init=False)
 
     def emit(self, kind: EventType, /, **data: Any) -> None:
-        """Record an event."""
+        """Record an event with its `data`; then record a jump of the computer's clock, if there was one."""
         event = self.record.append(kind, self.now_s(), **data)
         self.progress.take(event)
         for observer in self.observers:
@@ -118,10 +118,10 @@ class Recorder:
 class Runner:
     """Executor of a plan: commands the bench, asks its people and records all events.
 
-    `watch` judges each reading. `choose` receives a step index and the progress; if a choice of points is due, it
-    returns the data of a `chosen` event, otherwise None. `certificates` receives the serial numbers by instrument
-    name, and returns sentences on the instruments' certificates. `at_resumed_time` is called with the bench time at
-    which a resumed run continues, s.
+    `watch` judges each reading. `choose` receives a step index and the progress; if the next points have to be
+    chosen, it returns the data of a `chosen` event, otherwise None. `certificates` receives the serial numbers by
+    instrument name, and returns sentences on the instruments' certificates. `at_resumed_time` is called with the
+    bench time at which a resumed run continues, s.
     """
 
     plan: Plan

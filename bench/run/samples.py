@@ -161,7 +161,7 @@ class NotSettled(BenchError):
 
 
 class Window:
-    """The samples of the most recent window, which ends at the last sample added."""
+    """The samples of the last `window_s` (see `Criterion`) before the sample added last."""
 
     def __init__(self, criterion: Criterion) -> None:
         self.criterion = criterion
@@ -286,9 +286,9 @@ LEAST_WAY_K: Final = 2.0
 
 @dataclass
 class ChamberWatch:
-    """Checks that the air covers at least 20 % of the way to each new set point within `slow_after_s`.
+    """Checks that a chamber's air covers 20 % of the way to a new set point within `slow_after_s`, s.
 
-    Otherwise `tell` records `CHAMBER_SLOW`.
+    If it does not, `tell` records `CHAMBER_SLOW`.
     """
 
     clock: Clock
@@ -298,7 +298,7 @@ class ChamberWatch:
     _begun_s: float = field(default=0.0, init=False)
 
     def begin(self, chamber: ThermalChamber, target_c: float, key: str) -> None:
-        """Start the watch at a new set point, °C, unless the chamber is manual or the air is already near."""
+        """Start the watch at a new set point, °C, unless a person sets it or the air is near (`LEAST_WAY_K`)."""
         self._way_c = None
         if chamber.asks_person:
             return

@@ -257,7 +257,7 @@ def sign(key: Ed25519PrivateKey, message: bytes) -> tuple[str, bytes]:
 
 
 def public_key(pem: str, where: str, remedy: str = "restore the seal from a copy") -> Ed25519PublicKey:
-    """Return the Ed25519 key in the text `pem`. Raises `RecordError` with `where` and `remedy` if there is none."""
+    """Return the Ed25519 key in the text `pem`; if it has none, raise `RecordError` with `where` and `remedy`."""
     serialization, ed25519 = _cryptography()
     try:
         key = serialization.load_pem_public_key(pem.encode())

@@ -140,7 +140,7 @@ _STOPS: Final[Mapping[str, str]] = {
 
 
 def chosen_in_words(data: Mapping[str, Any]) -> str:
-    """Return a sentence on a choice of points: state of the goal and next points, or why measuring stops."""
+    """Return a choice of points in words: present state of the goal and next points, or why measuring ends."""
     so_far = message(f"{data['settings']} settings, {data['repeats']} repeats")
     now = _goal_in_words(data.get("now"))
     if data["stop"]:

@@ -108,7 +108,7 @@ _ANSWERS: Final = {
 
 
 def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
-    """Return the wishes that can have an effect at a prompt of a run."""
+    """Return the wishes (operator's commands) that can have an effect at a prompt of a run."""
     if prompt.action["do"] == "ask" or (prompt.action["do"] == "mount" and prompt.choices):
         return (Wish.PAUSE, Wish.STOP, Wish.ABORT)  # no step is in progress
     state = RunState.PAUSED if prompt.action["do"] == "wait" else RunState.RUNNING
@@ -116,7 +116,7 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return help text on what can be typed; a mapping `wishes` gives its own meanings, not `MEANINGS`."""
+    """Return help on the answers and wishes that can be typed; a mapping `wishes` replaces `MEANINGS`."""
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
@@ -150,7 +150,7 @@ class TimeLeft:
         self._begun: tuple[int, float] | None = None
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
-        """Apply a choice of points: drop steps that it excludes, scale the times of steps not yet decided."""
+        """Apply a choice of points: leave out the steps it excludes, rescale the durations of undecided steps."""
         self._out |= steps_of(chosen["left_out"])
         self._out -= steps_of(chosen.get("taken_up", ()))
         step_s = [0.0 if i in self._out else seconds for i, seconds in enumerate(self._step_s)]
@@ -193,9 +193,9 @@ class TerminalPerson:
     """A person who answers prompts through a text stream: a keyboard, or a file of answers.
 
     `pause` and `go_on` are called before and after each prompt, so that a progress bar is hidden during it.
-    `wishes` are the wishes accepted at prompts; None means all wishes of a run. `who` is the author of answers and
-    wishes. The class implements `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of
-    `meanwhile`, s.
+    `wishes` are the operator's commands that the help names, by default those of `heard_at`; if there are none,
+    prompts accept no command. `who` is the author of answers and commands. The class implements
+    `drivers.interfaces.WatchingPerson`; `slice_s` is the interval between calls of `meanwhile`, s.
     """
 
     def __init__(

@@ -294,7 +294,7 @@ class Workbench:
         return brought
 
     def do_mount(self, step: Mount) -> Mounted:
-        """Ask the person to mount the block, and to enter the temperatures that no instrument measures."""
+        """Ask the person to mount the block and to enter the temperatures that no instrument measures."""
         confirm(self.person, mount_prompt(step, chamber=self.instruments.chamber is not None))
         self._position = None
         check = TemperatureCheck(self.person, self.temperature_c, self.demanded_c)
@@ -311,7 +311,7 @@ class Workbench:
         return ask(self.person, untouched_prompt(step)) == UNTOUCHED
 
     def do_temperature(self, step: SetTemperature) -> TemperatureSet:
-        """Set the chamber's temperature."""
+        """Set the chamber to the step's set point without waiting for its air; return the set point, °C."""
         chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
         before_c, self.demanded_c = self.demanded_c, step.target_c
         try:
@@ -360,7 +360,7 @@ class Workbench:
         return self.instruments.chamber
 
     def do_turn(self, step: Turn) -> Turned:
-        """Turn the head."""
+        """Turn the head to the step's target angle; return the target and the angle read back, degrees."""
         self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 

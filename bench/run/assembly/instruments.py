@@ -44,7 +44,7 @@ from sim.world.world import World, WorldSettings
 
 @dataclass(frozen=True)
 class Surroundings:
-    """The objects that drivers need in addition to their sections: person, clock, line frequency and wire.
+    """What drivers need in addition to their bench file sections: person, clock, line frequency, wire log.
 
     `resources` maps instrument names to resources that replace those of the bench file. `haste` ends waits for
     instruments that do not respond. `holding` reserves the instruments that are opened. `sessions` collects the
@@ -163,7 +163,7 @@ def _driver(section: InstrumentForm, given: Surroundings) -> Any:
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
-    """Return the simulated world of a bench file: its true stand and block, and the effects of `model`."""
+    """Return the simulated world of a bench file with the effects of `model`; `seed` sets its random errors."""
     truth = bench.simulation
     settings = WorldSettings(
         block=bench.simulated_block(),

@@ -65,7 +65,7 @@ _DONE: Final = frozenset(
 
 
 class LivingOperator:
-    """A `drivers.interfaces.WatchingPerson`: a real `person` answers, and a scripted operator acts in the world.
+    """A `drivers.interfaces.WatchingPerson`: a real person answers, a scripted operator does the simulated tasks.
 
     The simulated head moves to the angle that the person reports. A prompt to read a display or a level's bubble
     contains the value shown. In the simulated world, a task takes as long as the scripted operator needs for it.
@@ -85,12 +85,12 @@ class LivingOperator:
         self._person.meanwhile = self._hands.meanwhile = look
 
     def ask(self, prompt: Prompt) -> Answer:
-        """Ask the person and carry out the task in the world; return the person's answer.
+        """Ask the person and carry out the task in the simulated world; return the person's answer.
 
         If the task is to read a display, the prompt contains the displayed value. If the task is to turn a head
         with an encoder, the scripted operator answers; with a hands-free encoder, that operator turns the head
-        while the question is open. If the answer is invalid or no, the task is not carried out. Raises the errors
-        of the person's `ask`.
+        while the question is open. After an invalid answer or a "no", the task is not carried out. Raises the
+        errors of the person's `ask`.
         """
         action = prompt.action
         if action["do"] in _LOOKED_AT:
@@ -182,9 +182,9 @@ def dry_bench(
     taken: Sequence[Reading] = (),
     living: WatchingPerson | None = None,
 ) -> Iterator[Assembly]:
-    """Yield a simulated bench with the true stand and block of the bench file, and the effects of `model`.
+    """Yield the simulated bench of a bench file: instruments and operator in the world that `world_of` returns.
 
-    `living` is a person who answers instead of the scripted operator. `plan` determines the order in which each
+    `living` is a person who answers instead of the scripted operator. `plan` states the order in which each
     step reads the channels. `taken` are the recorded readings of a resumed run, for effects that depend on
     earlier readings. Raises `BenchError` if the bench file contains a fault that its instrument cannot have.
     """
@@ -285,7 +285,7 @@ class SimulatedHands:
             over.set()
 
     def look(self) -> None:
-        """Do the tasks of the prompts since the last call, but only the latest task of each kind."""
+        """Do the tasks asked for since the last call; of several tasks of a kind in a run, only the latest."""
         for record in self._runs.glob(f"*/{EVENTS}"):
             if is_being_written(record.parent) and not Run(record.parent).simulated:
                 for prompt in self._new_prompts(record):

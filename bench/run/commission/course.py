@@ -232,7 +232,7 @@ def parts(evening: CommissioningSession) -> Iterator[Part]:
 
 
 def go_through(evening: CommissioningSession) -> None:
-    """Carry out all parts that apply.
+    """Announce and carry out each part of the session; a part that the person skips becomes a finding.
 
     Raises `SessionEnded` if the person ends the session, and `KeyboardInterrupt`.
     """

@@ -50,7 +50,7 @@ _LOOK_S: Final = 0.25
 
 @runtime_checkable
 class Motor(Protocol):
-    """A motorised head with the functions that a stop test needs (`drivers.motion.Axis`); angles in rad."""
+    """A motorised head that can be stopped during a move (`drivers.motion.Axis`); angles in rad."""
 
     name: str
 

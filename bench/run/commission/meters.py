@@ -358,13 +358,13 @@ def largest_scatter_v(sigma_v: float, n: int) -> float:
 
 
 def zero_limit_v(evening: CommissioningSession, meter: Voltmeter) -> float:
-    """Return the maker's limit of error, V, at a shorted input within 90 days."""
+    """Return the maker's limit of error, V, at a shorted input within 90 days of a calibration."""
     range_v = evening.file.voltmeter_range_v
     return range_v * _form(evening, meter).kind.accuracy[range_v][1]
 
 
 def limit_v(evening: CommissioningSession, meter: Voltmeter, volts: float) -> float:
-    """Return the maker's limit of error, V, at an input of `volts` within 90 days."""
+    """Return the maker's limit of error, V, at an input of `volts` within 90 days of a calibration."""
     of_reading, _ = _form(evening, meter).kind.accuracy[evening.file.voltmeter_range_v]
     return of_reading * abs(volts) + zero_limit_v(evening, meter)
 

@@ -175,7 +175,7 @@ class CheckEnded(Exception):
 
 
 class PersonBehind:
-    """A `WatchingPerson` that passes prompts, and `meanwhile` if possible, on to another `person`."""
+    """A `WatchingPerson` that passes prompts on to `person`, and `meanwhile` if that is a `WatchingPerson`."""
 
     def __init__(self, person: Person) -> None:
         self._person = person
@@ -192,12 +192,12 @@ class PersonBehind:
 
 
 class CommissioningPerson(PersonBehind):
-    """A `Person` for commissioning, who can type the wishes :skip REASON and :abort at any prompt."""
+    """A `Person` for commissioning, who can type the commands :skip REASON and :abort at any prompt."""
 
     def ask(self, prompt: Prompt) -> Answer:
         """Show the prompt and return the answer. Raises `Skipped` for :skip, and `SessionEnded` for :abort.
 
-        After any other wish, name the accepted wishes and show the prompt again.
+        After any other command, name the accepted ones and show the prompt again.
         """
         put = prompt
         while True:
@@ -306,7 +306,7 @@ class CommissioningSession:
         return found
 
     def present(self, instrument: Instrument) -> bool:
-        """Return whether an instrument is still checked, that is, was lost fewer than `MOST_LOSSES` times."""
+        """Return whether an instrument is still checked; not after `MOST_LOSSES` losses or failed openings."""
         return self._losses.get(instrument.name, 0) < MOST_LOSSES
 
     def _found(
