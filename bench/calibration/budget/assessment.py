@@ -232,7 +232,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """The uncertainty of delta g at a verification point, and the largest |delta g| that the rule accepts."""
+    """Uncertainty of delta g = |a| - 1 at a verification point, local g, and its acceptance limit."""
 
     angle_deg: float
     point: int
@@ -248,8 +248,9 @@ class DeltaG(ResultModel):
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     """Return the variances of delta g, local g², due to each source, shape (v, sources).
 
-    They are those at the v verification points of the setup. Errors of gain and of gravity act alike on calibration
-    and check, and cancel. Without `reading` only the errors of the coefficients count.
+    Delta g is |a| - 1 at each of the setup's v verification points. Errors that act alike on calibration and
+    check, as those of a meter's gain and of gravity, cancel. Without `reading` only errors of the
+    coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -271,7 +272,8 @@ def delta_g(
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty and the acceptance limit of delta g at each verification point of the setup.
 
-    For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
+    `limit_g` is the tolerance of |delta g|, `population` the distribution of delta g over many blocks. For
+    `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
     setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
@@ -371,7 +373,7 @@ class Simulation:
         ]
 
     def outputs(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return coefficients and delta g, shape (trials, 12 + v)."""
+        """Return the coefficients (V/g, V), then delta g (g) at v verification points, (trials, 12 + v)."""
         setup, gain = self._setup, self._budget.gain
         readings = self.readings(trials, rng)
         excess = (readings - setup.signal).reshape(trials, -1)
@@ -437,10 +439,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo.
-
-    `beside` are notes in addition to those of the budget.
-    """
+    """A budget with its results (`exact` is None without Monte Carlo), and additional notes `beside`."""
 
     budget: Budget
     question: Question
@@ -451,15 +450,15 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether a faultless calibration passes each point with at least the coverage probability.
+        """Whether U of delta g is within the acceptance limit at all verification points; None without any.
 
-        None without verification points.
+        If so, a calibration without mistakes passes each point with at least the coverage probability.
         """
         return all(point.capable for point in self.points) if self.points else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Caveats for a reader of the numbers."""
+        """Sentences on assumed uncertainties and other limitations of the results, then `beside`."""
         return (*self._notes(), *self.beside)
 
     def _notes(self) -> Iterator[str]:

@@ -460,10 +460,10 @@ HARDLY_ANY: Final = 1e-3
 
 
 def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
-    """Return the principal components (n, q) of a stationary process of unit variance at times (n,).
+    """Return the q principal components (n, q) of a stationary process of unit variance at times (n,).
 
-    With an infinite correlation time the process is a constant, which averaging over passes does not reduce. This
-    suits limits that do not state how a quantity varies within them (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce.
+    A constant is assumed for limits that do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -576,8 +576,9 @@ def make_budget(
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
 
-    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources, or by
-    `known` (see `estimator_map`). Raises `CalibrationError` if the readings do not determine the coefficients.
+    The estimator weighs the readings by the standard uncertainties `stated` (rad, V), by default those of
+    `sources`. Prior knowledge `known` from other runs replaces these. Raises the `CalibrationError` of
+    `estimator_map`.
     """
     if stated is None:
         stated = {source.name: source.u for source in sources if source.name in STAND_ERRORS}

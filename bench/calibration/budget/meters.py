@@ -40,7 +40,7 @@ _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV"
 
 @dataclass(frozen=True)
 class Size:
-    """The distribution of an error, its origin and degrees of freedom; `prior` if nobody stated it."""
+    """The distribution of an error, its origin and degrees of freedom; with `prior` nobody stated it."""
 
     distribution: Distribution
     origin: str
@@ -320,8 +320,8 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 def thermometer_size(bench: BenchFile) -> Size | None:
     """Return the uncertainty of the measured temperature of the block, K.
 
-    The result is None for a chamber's thermometer without a certificate: its error is smaller than the band of the
-    air temperature, which is always included.
+    The result is None if the bench file has neither a thermometer nor a certificate of the chamber: the band
+    of the air temperature, an error source of its own, then covers the error.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate
