@@ -305,11 +305,12 @@ def probability_one_outside(
 ) -> float:
     """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) are measured values whose errors are normal with the `covariance` (n, n). `population` is the prior
-    of each quantity; the quantities are then either equal or independent, with the prior probabilities `_ALIKE`.
+    `value` (n,) are measured values whose errors are normal with the `covariance` (n, n). `population` is the
+    prior of each quantity. With it, the n quantities are equal with the prior probability 0.8, and else
+    independent.
 
-    The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
-    0.0003. It is limited to lie between the largest of the n single probabilities and their sum.
+    The result is from random draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate
+    to 0.0003. The result is limited to the range from the largest single probability to the sum of all n.
     """
     parts = [(1.0, value, covariance)] if population is None else _after(value, covariance, population)
     single = _each_outside(parts, limit)

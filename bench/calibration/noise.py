@@ -47,7 +47,7 @@ class KnownNoise:
 
     @classmethod
     def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
-        """Return the noise that a bench file states, by name in `sizes`; None without "voltmeter_error"."""
+        """Return the noise from stated standard deviations by name; None without "voltmeter_error"."""
         reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
         if not reading > 0.0:
             return None
@@ -175,11 +175,11 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the part, 0 to 1, of their limits by which the meters may have drifted between two uses.
+    """Return how far meters may have drifted between two uses, as a fraction (0 to 1) of their limits.
 
-    A use is given by the identities of its meters and by its time. Within `ONE_SITTING` the result is 0: the
-    meters' errors cancel. Later it is the time between the uses divided by `METERS_DRIFT`, at most 1. It is always
-    1 for different or unnamed meters, and for an unknown time.
+    A use is given by the identities of its meters and by its time. The fraction is 0 within `ONE_SITTING`, as
+    the meters' errors then cancel, and later the time between the uses divided by `METERS_DRIFT`, at most 1.
+    For different or unnamed meters, or an unknown time, it is 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -222,7 +222,7 @@ class RepeatScatter:
         return float(np.einsum("gij,gji->", np.linalg.inv(np.diag(variances[:3]) + along), self.matrix))
 
     def is_close_to(self, other: RepeatScatter) -> bool:
-        """Return whether another scatter of the same groups gives the same noise, to a part in a thousand."""
+        """Return whether another scatter of the same groups equals this one to 0.1 %, with the same noise."""
         return all(
             float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
             for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
@@ -464,7 +464,7 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
 
 
 def require_told(noise: Noise) -> None:
-    """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior.
+    """Raise `CalibrationError` for noise from residuals with too few degrees of freedom and no prior.
 
     The uncertainties would then be arbitrary.
     """

@@ -70,9 +70,9 @@ class VerificationPoint:
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability that accepting the point is wrong; None unless it is accepted or a conditional pass.
+        """Probability that accepting the point is wrong; None unless the rule accepts it or leaves it open.
 
-        A conditional pass counts only if its acceptance is still to be decided.
+        The rule leaves a point open that it does not reject and that has the statement "conditional pass".
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
@@ -138,7 +138,7 @@ class Verification:
 
     @property
     def statement(self) -> Statement:
-        """The statement on the worst point: other points cannot compensate for one that fails."""
+        """The worst of the statements on all points; points that are missing count as "not complete"."""
         found = [point.statement for point in self.points]
         found += [Statement.NOT_COMPLETE] * bool(self.missing)
         return max(found, key=list(Statement).index)
@@ -312,7 +312,7 @@ def verify(
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return the statement that the rule allows.
+    """Return the statement in the terms of the decision rule named `rule`.
 
     Under a binary rule a conditional statement becomes pass if the point `passed`, else fail.
     """

@@ -248,9 +248,8 @@ class DeltaG(ResultModel):
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     """Return the variances of delta g, local g², due to each source, shape (v, sources).
 
-    Delta g is |a| - 1 at each of the setup's v verification points. Errors that act alike on calibration and
-    check, as those of a meter's gain and of gravity, cancel. Without `reading` only errors of the
-    coefficients count.
+    Delta g is |a| - 1 at each of the setup's v verification points. Errors of gravity and of a meter's gain
+    act alike on calibration and check, and cancel. Without `reading` only errors of coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
