@@ -48,8 +48,8 @@ MOST_KEPT: Final = 3
 class StandUnknown:
     """An unknown stand angle of one mounting, with mean and standard deviation of its prior, rad.
 
-    `mount` is the index of the mounting, `column` that of the angle in `STAND_ANGLES`. If `measured`, a level gave
-    the prior.
+    `mount` is the index of the mounting, `column` the index of the angle in `STAND_ANGLES`. If `measured`, a
+    level gave the prior.
     """
 
     mount: int
@@ -131,9 +131,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens the q unknowns after each was divided by its prior u.
+        """The matrix (q, q) that whitens the q unknowns after the coefficients, each in units of its prior u.
 
-        The whitened unknowns are independent and have unit variance.
+        By the prior, whitened unknowns are independent and have unit variance.
         """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
@@ -178,7 +178,7 @@ class Problem:
         return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
-        """Return the stand angles (mounts, 5), rad, with the values in `others` (q,), zero where not unknown."""
+        """Return the stand angles (mounts, 5), rad, with the values in `others` (q,), zero if not fitted."""
         matrix = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         for value, unknown in zip(others, self.stand, strict=False):
             matrix[unknown.mount, unknown.column] = value

@@ -416,7 +416,7 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit; `unknowns` is the number of its unknowns without a prior.
+    """Test the chi-square `misfit` of a fit; `unknowns` is the number of fitted unknowns without a prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """

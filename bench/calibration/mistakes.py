@@ -127,8 +127,7 @@ def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None
     """Raise `CalibrationError` for a saturated channel, whose largest or smallest signals are equal.
 
     A fit to the channel's other signals predicts values beyond them; if no fit is possible, the forces there
-    differ. `columns` (n, 4) are the specific force and ones, `resolution` is the last digit of `signal` (n,
-    3).
+    differ. `columns` (n, 4) are the specific force and ones, `resolution` is that of `signal`.
     """
     for i, axis in enumerate("xyz"):
         at_end, sides = np.zeros(len(signal), dtype=bool), np.zeros(len(signal))

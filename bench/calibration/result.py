@@ -102,7 +102,7 @@ class NoisePrior:
 
     @property
     def source(self) -> str:
-        """Return in words where noise estimated with this prior comes from."""
+        """The origin of noise that was estimated with this prior, in words."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
 
@@ -202,7 +202,7 @@ class LackOfFit:
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return a sentence with the command that finds the cause, if the fit is not accepted.
+        """Return a sentence with the command that finds the cause; nothing if the fit is accepted.
 
         `source` is the name of the readings, as typed at a shell.
         """
@@ -216,11 +216,11 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A signal that contradicts the model and the other readings; it keeps its place in the record.
+    """A signal that contradicts the model and the other readings; it remains in the record.
 
-    `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` the same divided by its u, and
-    `weight` the weight that the signal keeps in the fit.
+    `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head,
+    or "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` this error divided by
+    its u, and `weight` the weight that the signal keeps in the fit.
     """
 
     row: int

@@ -224,7 +224,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) that the temperature model causes."""
+    """Specific forces (n, 3), local g, with their covariance (n, 3, 3), g², due to the temperature model."""
 
     specific_force: Floats
     covariance: Floats

@@ -85,10 +85,10 @@ class VerificationPoint:
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """The limit of |delta g| with which a verification would pass, and the u with which it would pass.
+    """The limit of |delta g|, or else the factor on u, with which a verification would pass.
 
-    Either change suffices. `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices.
-    `point` is the point that exceeds its acceptance limit most.
+    `limit_g` is this limit, g; `u_times` is this factor, None if no factor suffices. `point` is the point
+    that exceeds its acceptance limit most.
     """
 
     limit_g: float

@@ -53,8 +53,8 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` maps each source to the covariance (d, 3, 3), g², that it causes; `dof` maps it to the degrees of
-    freedom of its standard uncertainty.
+    `by_source` maps each source to the covariance (d, 3, 3), g², that it causes. `dof` maps each source to
+    the degrees of freedom of its standard uncertainty.
     """
 
     force: Floats
@@ -83,7 +83,7 @@ class MeasuredAcceleration:
         return effective_dof(variances, list(self.dof.values()))
 
     def modulus_variance(self, covariance: Floats) -> Floats:
-        """Return the variance of the modulus (d,) from covariances (d, 3, 3) of the components."""
+        """Return the variance of the modulus (d,), g², from covariances (d, 3, 3), g², of components."""
         unit = self.force / np.linalg.norm(self.force, axis=1)[:, None]
         return np.asarray(np.einsum("di,dij,dj->d", unit, covariance, unit))
 
@@ -383,7 +383,7 @@ class Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
+        """Return simulated readings (trials, n, 3), V, each trial with random errors of all sources."""
         setup = self._setup
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))

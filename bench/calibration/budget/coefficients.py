@@ -141,8 +141,8 @@ class Setup:
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` if there is no
-    such reading.
+    Times are expected for meters at the mains frequency `line_hz`; temperatures are the chamber's last set
+    points. Raises `CalibrationError` if the plan has no such reading.
     """
     rows: list[tuple[Read, float, float]] = []
     time_s, temperature_c = 0.0, float("nan")

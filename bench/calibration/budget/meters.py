@@ -137,9 +137,9 @@ CONTRADICTS_P: Final = 0.01
 
 @dataclass(frozen=True)
 class LearnedDifferences:
-    """Learned differences of M meters from the mean of their group: `values` (M,) with `covariance` (M, M).
+    """Differences of M meters from the mean of their group: `values` (M,) with `covariance` (M, M).
 
-    Meters with the same number in `group` were compared with each other.
+    They are learned from other runs. Meters with the same number in `group` were compared with each other.
     """
 
     values: Floats

@@ -94,7 +94,7 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit estimates.
+    """Return the sources whose errors no reading shows and no fit estimates.
 
     If the bench file does not state an error, its distribution is assumed, or the source is left out. `meters` are
     errors inferred from learned differences between the meters; they replace the voltmeters' sources.
