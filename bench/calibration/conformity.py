@@ -162,9 +162,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        If U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard band and U;
-        otherwise it is inconclusive. The guard band beyond the limit follows from the measurement alone, without
-        the population.
+        If U exceeds the limit, a value that is beyond the limit by more than the guard band and more than U
+        fails, and any other value is inconclusive. The guard band beyond the limit follows from the
+        measurement alone, without the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u

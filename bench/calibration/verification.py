@@ -108,12 +108,12 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` is the number of points that were planned or recorded but could not be judged. If one is missing, the
-    verification does not pass, since equation (10) applies to every point. `covariance` (n, n) is the covariance of
-    delta g at the points; `contributions` are the parts of this covariance by name. `population` is the prior
-    distribution of delta g, over many blocks. `fits` is false if the coefficients contradict their own readings.
-    `contradiction` is a sentence on readings that contradict the orientation stated for installation V, empty if
-    none does.
+    `missing` is the number of points that were planned or recorded but have no verdict. If one is missing,
+    the verification does not pass, since equation (10) of the paper applies to every point. `covariance` (n,
+    n) is the covariance of delta g at the points; `contributions` are the parts of this covariance by name.
+    `population` is the prior distribution of delta g, over many blocks. `fits` is false if the coefficients
+    contradict their own readings. `contradiction` is a sentence on readings that contradict the orientation
+    stated for installation V, empty if none does.
     """
 
     limit_g: float

@@ -288,7 +288,7 @@ class MeasuredReadings:
     """Measured readings on which errors act; `block` converts their signals to forces.
 
     `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
-    calibration used these readings.
+    calibration used these readings, or if it is unknown.
     """
 
     readings: Readings

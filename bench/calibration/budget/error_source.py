@@ -249,8 +249,8 @@ def tilt_patterns(
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
     """Return the foundation's tilt rate; None if nothing states it and the platform was not `levelled`.
 
-    Levellings recorded with the readings take precedence over the bench file. For a levelled platform without
-    either, the paper's rate is assumed.
+    Levellings recorded with the readings take precedence over the bench file. Without both, the rate of the
+    paper is assumed for a levelled platform.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

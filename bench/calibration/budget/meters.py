@@ -246,8 +246,8 @@ class LearnedMeters:
 class KnownMeters:
     """The errors of a bench's voltmeters that follow from learned differences between them.
 
-    `quantities` maps the name of a source to its distribution and the joint errors of the meters. `gain` and
-    `offset_v` (x, y, z) correct the readings: U (1 + gain) + offset.
+    `quantities` maps the name of a source to its distribution and the joint errors of the meters. The
+    corrected readings of x, y and z are U (1 + `gain`) + `offset_v`.
     """
 
     quantities: Mapping[str, tuple[Size, JointErrors]]
