@@ -194,7 +194,7 @@ def _choose(
 
 
 def usable_rows(readings: Readings, model: ForwardModel) -> Readings:
-    """Return the oriented rows of a table.
+    """Return the rows of a table at known orientations, without verification points.
 
     Raises `CalibrationError` if there are none, an installation is not in the model, or a value is no number.
     """
@@ -272,11 +272,11 @@ def _on_levels(problem: Problem) -> tuple[str, ...]:
 def first_guess(
     problem: Problem, signal: Floats, resolution: float = 0.0, nominal: Sequence[float] | None = None
 ) -> Block:
-    """Return a first guess of the block by ordinary least squares at the nominal geometry.
+    """Return a start value of the block for the fit, by ordinary least squares at the nominal geometry.
 
-    If there are only free positions, an ellipsoid is fitted to them, and the scale factors have the signs of the
-    `nominal` ones. Raises `CalibrationError` for too few orientations, and for mistakes that such a fit reveals,
-    such as a wrong angle unit or saturation.
+    If there are only free positions, an ellipsoid is fitted to them, and the scale factors get the signs of
+    the `nominal` ones. `resolution` is the last digit of the `signal` (n, 3). Raises `CalibrationError` for
+    too few orientations, and for mistakes that such a fit reveals, such as a wrong angle unit or saturation.
     """
     if problem.upper and problem.free is not None:
         mistakes.refuse_saturated_free(problem.free.signal)

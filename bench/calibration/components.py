@@ -1,4 +1,4 @@
-"""Variance components that readings share (setting, pass, visit, drift), and notes on them for the user."""
+"""Variance components that readings share (by setting, stay at a point, pass, drift), and notes on them."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ DRIFT: Final = "drift"
 class SharedErrorFit:
     """A fit with the variance components that its readings share, and with the drift if one was found.
 
-    `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli; None
-    without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in the unit of
-    the signal. For a significant drift it is the estimate, widened for few degrees of freedom; for any other, the
-    posterior mean. With components, no channel has less than the rms of all three. `wander` is None if no drift was
-    searched for.
+    `covariance` (3n + m, 3n + m) is the covariance of the 3n signals of n oriented readings and of m moduli;
+    None without components. `wander` (3,) is the rms deviation of each bias from its mean over the run, in
+    the unit of the signal; None if no drift was searched for. For a significant drift it is the estimate,
+    widened for few degrees of freedom; for any other, the root of the posterior mean variance. If there are
+    components, the rms of the three values replaces each smaller one.
     """
 
     fit: Fit
@@ -81,7 +81,7 @@ class _Term:
 def take_in(
     problem: Problem, fit: Fit, unit: str, floor: float = 0.0, rounding: SharedRounding | None = None
 ) -> SharedErrorFit:
-    """Return the fit with the variance components that its readings share added to its noise.
+    """Add to the noise of a fit the variance components that its readings share, and return the new fit.
 
     With a `rounding` error that repeats share, only this component is added. Otherwise the function searches for
     components, but not if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly

@@ -162,9 +162,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        If U exceeds the limit, a value fails only if it is beyond the limit by more than both the guard band and U;
-        otherwise it is inconclusive. The guard band beyond the limit follows from the measurement alone, without
-        the population.
+        If U exceeds the limit, a value that is beyond the limit by more than the guard band and more than U
+        fails, and any other value is inconclusive. The guard band beyond the limit follows from the
+        measurement alone, without the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
@@ -305,11 +305,12 @@ def probability_one_outside(
 ) -> float:
     """Return the probability that at least one of n quantities lies outside ±limit.
 
-    `value` (n,) are measured values whose errors are normal with the `covariance` (n, n). `population` is the prior
-    of each quantity; the quantities are then either equal or independent, with the prior probabilities `_ALIKE`.
+    `value` (n,) are measured values whose errors are normal with the `covariance` (n, n). `population` is the
+    prior of each quantity. With it, the n quantities are equal with the prior probability 0.8, and else
+    independent.
 
-    The result is from `_DRAWS` draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate to
-    0.0003. It is limited to lie between the largest of the n single probabilities and their sum.
+    The result is from random draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate
+    to 0.0003. The result is limited to the range from the largest single probability to the sum of all n.
     """
     parts = [(1.0, value, covariance)] if population is None else _after(value, covariance, population)
     single = _each_outside(parts, limit)

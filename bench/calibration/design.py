@@ -48,8 +48,8 @@ MOST_KEPT: Final = 3
 class StandUnknown:
     """An unknown stand angle of one mounting, with mean and standard deviation of its prior, rad.
 
-    `mount` is the index of the mounting, `column` that of the angle in `STAND_ANGLES`. If `measured`, a level gave
-    the prior.
+    `mount` is the index of the mounting, `column` the index of the angle in `STAND_ANGLES`. If `measured`, a
+    level gave the prior.
     """
 
     mount: int
@@ -131,9 +131,9 @@ class Problem:
 
     @property
     def prior_rows(self) -> Floats:
-        """The matrix (q, q) that whitens the q unknowns after each was divided by its prior u.
+        """The matrix (q, q) that whitens the q unknowns after the coefficients, each in units of its prior u.
 
-        The whitened unknowns are independent and have unit variance.
+        By the prior, whitened unknowns are independent and have unit variance.
         """
         q = len(self.stand) + len(self.effects)
         return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
@@ -178,7 +178,7 @@ class Problem:
         return self._model_at(others).readings(block, self.conditions, self.stand_matrix(others), setting_rad)
 
     def stand_matrix(self, others: Floats) -> Floats:
-        """Return the stand angles (mounts, 5), rad, with the values in `others` (q,), zero where not unknown."""
+        """Return the stand angles (mounts, 5), rad, with the values in `others` (q,), zero if not fitted."""
         matrix = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
         for value, unknown in zip(others, self.stand, strict=False):
             matrix[unknown.mount, unknown.column] = value
@@ -220,11 +220,11 @@ class Problem:
         return (forward - back) / (2 * STEP_RAD)
 
     def jacobian(self, block: Block, others: Floats) -> Floats:
-        """Return the derivatives (n, 3, 12 + q) of the readings by the coefficients, then by the q others."""
+        """Return the derivatives (n, 3, 12 + q) of the readings by the coefficients, then `others` (q,)."""
         return self.linear(block, others).jacobian
 
     def linear(self, block: Block, others: Floats) -> Linearisation:
-        """Return the model linearised about a point.
+        """Return the model linearised about the point (`block`, `others`).
 
         The derivatives are central differences of the forward model, so that there is no second formula to
         maintain. For the coefficients they are exact if the model has no effects, because it is then linear in
@@ -246,8 +246,8 @@ class Problem:
     def forces(self, block: Block, others: Floats) -> tuple[Floats, Floats, dict[int, Floats]]:
         """Return the specific forces (n, 3), g, their derivatives by the head angle, and by the stand angles.
 
-        The last item maps each unknown column of `STAND_ANGLES` to the derivatives (n, 3) by this angle in the
-        mounting of the row. One call of the forward model computes all steps.
+        The last item maps the index of each unknown angle in `STAND_ANGLES` to the derivatives (n, 3), g/rad,
+        by this angle in the mounting of the row.
         """
         n, used = len(self.conditions), self._columns
         stand = self.stand_matrix(others)
@@ -317,10 +317,7 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def other_step(self, j: int) -> Floats:
-        """Return the step (q,) of the central difference by unknown `j` after the coefficients.
-
-        It is zero for all other unknowns.
-        """
+        """Return the step (q,) of the central difference by unknown `j` after the coefficients, else zero."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
@@ -344,8 +341,8 @@ def make_problem(
 ) -> Problem:
     """Return the problem with its unknowns: stand angles with a non-zero u, and the parameters of effects.
 
-    Shape parameters (`Parameter.is_shape`), and starting states without u, are no unknowns: they keep the
-    values of the model. A level reading of a mounting replaces the u that the bench file states.
+    Shape parameters (`Parameter.is_shape`), and starting states (`Parameter.start_of`) without u, are no
+    unknowns: they keep the values of the model. A level reading of a mounting replaces the u in `stand_u`.
 
     `stand_u` maps names in `STAND_ANGLES` to standard uncertainties, rad. It may also state the noise:
     "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean

@@ -72,13 +72,13 @@ MODULUS: Final = 4
 class Fit:
     """Estimates of all unknowns of a problem: the 12 coefficients `block`, then the q `others`.
 
-    `covariance` (12 + q, 12 + q) is their joint covariance; it uses the estimated `noise`, widened for its degrees
-    of freedom. `gain` (12 + q, n, 3) is the linear map from the n oriented readings to the unknowns; `free_gain`
-    (12 + q, m, 3), the map from the m readings of unknown orientation (free readings). `misfit` is the chi-square
-    of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit of the signal; `modulus`
-    (m,) is |a| - 1 of the free readings, g; both include the shifts. `slope` (n, 3) is du/dphi. `shift` (k,) are
-    the estimates of the k shifts, and `u_shift` (k,) their u for the noise without widening. `system` is the linear
-    system of the last step, with the final residuals.
+    `covariance` (12 + q, 12 + q) is their joint covariance; it uses the estimated `noise`, widened for its
+    degrees of freedom. `gain` (12 + q, n, 3) is the linear map from the n oriented readings to the unknowns;
+    `free_gain` (12 + q, m, 3), the map from the m readings of unknown orientation (free readings). `misfit`
+    is the chi-square of residuals and priors, without shifted signals. `residuals` (n, 3) are in the unit of
+    the signal; `modulus` (m,) is |a| - 1 of the free readings, g; neither has the shifts subtracted. `slope`
+    (n, 3) is du/dphi. `shift` (k,) are the estimates of the k shifts, and `u_shift` (k,) their u for the
+    noise without widening. `system` is the linear system of the last step, with the final residuals.
     """
 
     block: Block
@@ -247,7 +247,10 @@ def finish(problem: Problem, fit: Fit, covariance: Floats, noise: Noise) -> Fit:
 
 
 def noise_floor(signal: Floats, resolution: float, free: FreeRows | None = None) -> float:
-    """Return the lower limit of the noise of signals (n, 3) rounded to `resolution`, in their unit."""
+    """Return the lower limit of the noise of signals (n, 3) and `free`, in their unit.
+
+    It is that of rounding to `resolution`, or `LEAST_NOISE` of the largest signal if this is more.
+    """
     largest = float(np.max(np.abs(signal), initial=0.0))
     if free is not None:
         largest = max(largest, float(np.max(np.abs(free.signal), initial=0.0)))
@@ -416,7 +419,7 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
 def misfit_test(
     misfit: float, residuals: Floats, slope: Floats, noise: Noise, groups: Ints, unknowns: int
 ) -> LackOfFit:
-    """Test the chi-square `misfit` of a fit; `unknowns` is the number of its unknowns without a prior.
+    """Test the chi-square `misfit` of a fit; `unknowns` is the number of fitted unknowns without a prior.
 
     `residuals` and `slope` (n, 3) and the repeat `groups` (n,) are as in `scatter_of_repeats`.
     """

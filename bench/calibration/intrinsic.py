@@ -75,11 +75,9 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
 class Intrinsic(Derived):
     """The nine intrinsic numbers of a calibration.
 
-    `covariance_readings` (9, 9) is the part of the covariance due to readings and stated stand errors; `dof` (9,)
-    are the effective degrees of freedom.
-
-    `held` names the numbers that these readings do not determine: limits in the bench file do. `mounting` is a
-    sentence on which numbers the mounting can change.
+    `covariance_readings` (9, 9) is the part of the covariance due to readings and stated stand errors; `dof`
+    (9,) are the effective degrees of freedom. `held` names the numbers that these readings do not determine:
+    limits of the bench file give their u. `mounting` is a sentence on which numbers the mounting can change.
     """
 
     covariance_readings: Floats
@@ -100,10 +98,7 @@ class Intrinsic(Derived):
 
 
 def intrinsic_of(found: Calibration) -> Intrinsic | None:
-    """Return the nine intrinsic numbers of a calibration.
-
-    Returns None if they are undefined, as for a block with a dead channel.
-    """
+    """Return the nine intrinsic numbers of a calibration; None if undefined, as with a dead channel."""
     try:
         own = intrinsic(found.block, found.covariance)
     except np.linalg.LinAlgError:
@@ -117,10 +112,7 @@ def intrinsic_of(found: Calibration) -> Intrinsic | None:
 
 
 def least_dof(found: Calibration) -> float:
-    """Return the smallest effective degrees of freedom of the nine intrinsic numbers.
-
-    Returns infinity if these are undefined.
-    """
+    """Return the smallest effective dof of the nine intrinsic numbers; infinity if these are undefined."""
     own = intrinsic_of(found)
     return float("inf") if own is None else float(np.min(own.dof))
 

@@ -30,10 +30,10 @@ def linear_estimate(
     """Return the coefficients by the linear map `gain` (12, n, 3), with their covariance.
 
     The covariance is due to noise, stand and effects. `fit` is the generalised least squares fit to the same
-    readings `signal` (n, 3). With its coefficients, stated effects and stand angles measured by a level are
-    converted to signals, and subtracted. `fit` also provides the noise and the misfit: with fixed weights, stand
-    angles would remain in the residuals and look like a lack of fit. `shared` (3n, 3n) is the covariance of the
-    readings if they share errors.
+    readings `signal` (n, 3). Its coefficients convert the prior means of stand angles and effects to signals,
+    which are subtracted first. `fit` also provides the noise and the misfit: with fixed weights, stand angles
+    would remain in the residuals and look like a lack of fit. `shared` (3n, 3n) is the covariance of readings
+    that share errors.
     """
     others = problem.prior_mean
     taken_off = np.zeros_like(signal)

@@ -124,9 +124,10 @@ def refuse_still(signal: Floats) -> None:
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
-    """Raise `CalibrationError` if a channel saturates: equal extreme readings where a fit predicts more.
+    """Raise `CalibrationError` for a saturated channel, whose largest or smallest signals are equal.
 
-    The fit is to the readings within the range. `columns` (n, 4) are the specific force and ones.
+    A fit to the channel's other signals predicts values beyond them; if no fit is possible, the forces there
+    differ. `columns` (n, 4) are the specific force and ones, `resolution` is that of `signal`.
     """
     for i, axis in enumerate("xyz"):
         at_end, sides = np.zeros(len(signal), dtype=bool), np.zeros(len(signal))
@@ -209,7 +210,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
     """Context in which a `SpoiledFit` becomes a `CalibrationError` that names the deviating rows.
 
-    Their names replace its remedy. If no row deviates strongly, the `SpoiledFit` is raised unchanged.
+    The names replace the advice of the `SpoiledFit`, which is raised unchanged if no row deviates strongly.
     """
     try:
         yield
@@ -518,8 +519,8 @@ def _of_other(readings: Readings, row: int, power: Ints, scaled: Floats, *, ever
 
 
 def sheet_of(unit: str, scale_factors: Sequence[float]) -> Sequence[float] | None:
-    """Return the nominal signal per g (3,), or None if it is not known for this unit.
+    """Return the nominal signal per g (3,) in the `unit` of the signals; None if it is unknown.
 
-    It is `scale_factors` for V, and a constant for g and m/s^2.
+    It is `scale_factors` for V, 1 for g, and 9.81 for m/s^2.
     """
     return {"V": scale_factors or None, "g": (1.0, 1.0, 1.0), "m/s^2": (9.81, 9.81, 9.81)}.get(unit)

@@ -34,9 +34,9 @@ class KnownNoise:
 
     `channels` (3,) are the standard deviations of the reading noise in x, y and z, in the unit of the signal;
     `setting_rad` is that of the head's setting error, rad. Each variance has a scaled inverse chi-square
-    distribution: it counts like repeats with as many degrees of freedom. If the prior comes from other runs, its
-    degrees of freedom allow for variation of the noise between runs. If the bench file states it (`stated`), it
-    counts only where the readings have too few degrees of freedom.
+    distribution: it counts like repeats with as many degrees of freedom. If the prior comes from other runs,
+    its degrees of freedom allow for variation of the noise between runs. A prior that the bench file states
+    (`stated`) counts only where the readings have too few degrees of freedom.
     """
 
     channels: Floats
@@ -47,7 +47,7 @@ class KnownNoise:
 
     @classmethod
     def of_bench(cls, sizes: Mapping[str, float]) -> KnownNoise | None:
-        """Return the noise that a bench file states, by name in `sizes`; None without "voltmeter_error"."""
+        """Return the noise from stated standard deviations by name; None without "voltmeter_error"."""
         reading, setting = sizes.get("voltmeter_error", 0.0), sizes.get("setting_error", 0.0)
         if not reading > 0.0:
             return None
@@ -175,11 +175,11 @@ ONE_SITTING: Final = timedelta(days=1)
 def drifted(
     first: tuple[Sequence[str], datetime | None], later: tuple[Sequence[str], datetime | None]
 ) -> float:
-    """Return the part, 0 to 1, of their limits by which the meters may have drifted between two uses.
+    """Return how far meters may have drifted between two uses, as a fraction (0 to 1) of their limits.
 
-    A use is given by the identities of its meters and by its time. Within `ONE_SITTING` the result is 0: the
-    meters' errors cancel. Later it is the time between the uses divided by `METERS_DRIFT`, at most 1. It is always
-    1 for different or unnamed meters, and for an unknown time.
+    A use is given by the identities of its meters and by its time. The fraction is 0 within `ONE_SITTING`, as
+    the meters' errors then cancel, and later the time between the uses divided by `METERS_DRIFT`, at most 1.
+    For different or unnamed meters, or an unknown time, it is 1.
     """
     (meters, when), (other, then) = first, later
     if not meters or tuple(meters) != tuple(other) or when is None or then is None:
@@ -222,7 +222,7 @@ class RepeatScatter:
         return float(np.einsum("gij,gji->", np.linalg.inv(np.diag(variances[:3]) + along), self.matrix))
 
     def is_close_to(self, other: RepeatScatter) -> bool:
-        """Return whether another scatter of the same groups gives the same noise, to a part in a thousand."""
+        """Return whether another scatter of the same groups equals this one to 0.1 %, with the same noise."""
         return all(
             float(np.abs(a - b).sum()) <= SAME_SCATTER * float(np.abs(b).sum())
             for a, b in ((self.matrix, other.matrix), (self.slope, other.slope))
@@ -233,7 +233,8 @@ class RepeatScatter:
 class SharedRounding:
     """The rounding error that readings of equal signals share.
 
-    `groups` (n,) numbers the readings with equal signals; `variance` (3,) is that of the error in x, y and z.
+    `groups` (n,) has equal numbers for readings of equal signals; `variance` (3,) is that of the error in x,
+    y and z.
     """
 
     groups: Ints
@@ -268,7 +269,7 @@ def rounding_variance(noise: Floats, floor: float) -> Floats:
 
 
 def repeat_groups(conditions: Conditions) -> Ints:
-    """Return a group number per reading (n,): repeats share mounting, point and direction of approach."""
+    """Return a number per reading (n,), equal for repeats: equal mounting, point, direction of approach."""
     points = int(conditions.point.max(initial=0)) + 1
     key = (conditions.mount * points + conditions.point) * 3 + conditions.direction
     return np.asarray(np.unique(key, return_inverse=True)[1])
@@ -326,7 +327,7 @@ def _three(values: Floats) -> tuple[float, float, float]:
 class RepeatedNoise:
     """The noise from repeats during an iterative fit, re-estimated only if the scatter of repeats changes.
 
-    The scatter hardly depends on the point of the fit, because repeats have nearly equal angles.
+    The scatter hardly depends on the estimates of the fit, because repeats have nearly equal angles.
     """
 
     def __init__(self, floor: float, groups: Ints, *, one_size: bool = False) -> None:
@@ -449,9 +450,9 @@ class LikelihoodResiduals:
 def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNoise | None = None) -> Noise:
     """Return reading noise and setting error by restricted maximum likelihood from residuals.
 
-    This serves readings without enough repeats. A `known` prior from the bench file adds the degrees of freedom
-    that the residuals lack; if the residuals suffice, they are only tested against it. A prior from other runs
-    counts in full, but is left out if enough residuals contradict it.
+    The function is for readings without enough repeats. A `known` prior from the bench file adds the degrees
+    of freedom that the residuals lack; if the residuals suffice, they are only tested against it. A prior
+    from other runs counts in full, but is left out if enough residuals contradict it.
     """
     signals = max(of.count - of.unknowns, 0)
     beside = None if known is None else known.beside(signals)
@@ -464,7 +465,7 @@ def noise_from_residuals(of: LikelihoodResiduals, floor: float, known: KnownNois
 
 
 def require_told(noise: Noise) -> None:
-    """Raise `CalibrationError` if the noise has too few degrees of freedom and no prior.
+    """Raise `CalibrationError` for noise from residuals with too few degrees of freedom and no prior.
 
     The uncertainties would then be arbitrary.
     """

@@ -38,9 +38,10 @@ class Direction:
     """A null direction: a change of unknowns that changes no reading.
 
     `members` maps names to changes, in SI units and the unit of the signals: angles and effects before
-    coefficients, the largest first. For a turn they are changes per radian of the turn; for another direction, per
-    unit of the first member. `axis` is the axis of a turn, on block axes, up to its sign. `only` says which
-    combination of two angles the readings do show ("sum" or "difference"), else it is empty.
+    coefficients, the largest first. If the direction is a turn of the block's axes, they are changes per
+    radian of the turn, else per unit of the first member. `axis` is the axis of a turn, on block axes, up to
+    its sign. `only` says which combination of two angles the readings do show ("sum" or "difference"), else
+    it is empty.
     """
 
     kind: DirectionKind
@@ -229,7 +230,7 @@ def _plain_basis(axes: Floats) -> Floats:
 
 
 def axis_in_words(axis: tuple[float, float, float] | None) -> str:
-    """Return an axis in words: "y", or "0.71 y - 0.71 z"."""
+    """Return an axis in words: "y", or "the axis 0.71 y -0.71 z"."""
     parts = [(a, name) for a, name in zip(axis or (), "xyz", strict=False) if abs(a) > MEMBER]
     if len(parts) == 1:
         return parts[0][1]
@@ -311,7 +312,7 @@ class Sensitivities:
         return Sensitivities(self.rows[:, kept], tuple(self.names[j] for j in kept))
 
     def observability(self, block: Block) -> Observability:
-        """Return the observability from these rows; `block` determines how a turn changes the coefficients."""
+        """Return the observability from `rows`; `block` serves to recognise turns of the block's axes."""
         length = np.linalg.norm(self.rows, axis=0)
         seen = length > _NO_COLUMN * max(float(length.max()), 1e-300)
         length = np.where(seen, length, 1.0)

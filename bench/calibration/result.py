@@ -18,7 +18,7 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 
 class SpoiledFit(CalibrationError):
-    """The error of a fit that a few wrong readings may have spoiled: the problem, and what to check."""
+    """The error of a fit that a few wrong readings may have spoiled; `args` are the problem and advice."""
 
     def __str__(self) -> str:
         """Return the sentence."""
@@ -68,7 +68,7 @@ HARDLY_BETTER = 0.95
 
 @dataclass(frozen=True)
 class Estimate:
-    """A fitted value with its standard uncertainty `u`, both in `unit`; `prior_u` is that before the fit."""
+    """A fitted value with its standard uncertainty `u`, both in `unit`; `prior_u` is u before the fit."""
 
     value: float
     u: float
@@ -102,7 +102,7 @@ class NoisePrior:
 
     @property
     def source(self) -> str:
-        """Return in words where noise estimated with this prior comes from."""
+        """The origin of noise that was estimated with this prior, in words."""
         where = "the bench file" if self.stated else "other runs"
         return f"residuals and {where}" if self.readings_dof > 0 else where
 
@@ -195,14 +195,14 @@ class LackOfFit:
         return self.p < LACK_OF_FIT_P
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether commands accept the coefficients.
+        """Return whether commands accept the coefficients, although the fit may have a lack of fit.
 
-        With `strict`, they refuse coefficients with any significant lack of fit.
+        They refuse if p < `NOT_ACCEPTED_P` (`strict`: `LACK_OF_FIT_P`), unless `rms` is at most `rounding`.
         """
         return self.rms <= self.rounding or not (self.shown if strict else self.p < NOT_ACCEPTED_P)
 
     def diagnose(self, source: str) -> tuple[str, ...]:
-        """Return a sentence with the command that finds the cause, if the fit is not accepted.
+        """Return a sentence with the command that finds the cause; nothing if the fit is accepted.
 
         `source` is the name of the readings, as typed at a shell.
         """
@@ -216,11 +216,11 @@ class LackOfFit:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A signal that contradicts the model and the other readings; it keeps its place in the record.
+    """A signal that contradicts the model and the other readings; it remains in the record.
 
-    `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head, or
-    "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` the same divided by its u, and
-    `weight` the weight that the signal keeps in the fit.
+    `row` counts the rows of the table from 1. `channel` is x, y, z, "head" for a wrong setting of the head,
+    or "modulus" for a free position. `size` is the estimated error in `unit`, `sigma` this error divided by
+    its u, and `weight` the weight that the signal keeps in the fit.
     """
 
     row: int
@@ -264,10 +264,10 @@ class Triangular:
 class Component:
     """A variance component: an error that several readings share.
 
-    `size` is its standard deviation in `unit`: that of the signal, rad for an angle, or 1 for a gain. `what` is the
-    kind ("setting", "visit", "pass", …), `channels` the channels concerned, `dof` the degrees of freedom of `size`.
-    `p` is the p-value, adjusted for all candidate components; 0 for "rounding", which is computed from the last
-    digit.
+    `size` is its standard deviation in `unit`: that of the signal, rad for an angle, or 1 for a gain. `what`
+    is the kind ("setting", "pass", "visit" for a stay at a point, …), `channels` the channels concerned,
+    `dof` the degrees of freedom of `size`. `p` is the p-value, adjusted for all candidate components; 0 for
+    "rounding", which is computed from the last digit.
     """
 
     what: str

@@ -87,7 +87,7 @@ def separate_temperatures(readings: Readings) -> list[float]:
 
 
 def inner_range(low_c: float, high_c: float) -> str:
-    """Return a range of temperatures in words, its ends rounded inwards, so that a check accepts both."""
+    """Return a temperature range in words; its ends are rounded inwards to 0.1 °C, to lie within it."""
     low, high = math.ceil(10.0 * low_c - 1e-9) / 10.0, math.floor(10.0 * high_c + 1e-9) / 10.0
     return f"{low:.1f} to {high:.1f} °C"
 
@@ -200,9 +200,9 @@ class PlateauResult:
 class ThermalHysteresis(HasCovariance):
     """Thermal hysteresis of the coefficients: rising minus falling at one temperature.
 
-    `size` (12,) are the differences with their `covariance` (12, 12); they are equal for all temperatures reached
-    from both sides. `p` is the p-value of all twelve differences together (F test); `p_each` (12,) are those of the
-    single coefficients, multiplied by twelve (Bonferroni).
+    `size` (12,) are the differences with their `covariance` (12, 12). The fit assumes the same differences at
+    all temperatures that were reached from both sides. `p` is the p-value of all twelve differences together
+    (F test); `p_each` (12,) are those of the single coefficients, multiplied by twelve (Bonferroni).
     """
 
     size: Floats
@@ -214,8 +214,8 @@ class ThermalHysteresis(HasCovariance):
     def scatter(self) -> Floats:
         """Covariance (12, 12) of the coefficients due to the hysteresis, if the branch is unknown.
 
-        The coefficients then deviate by half the hysteresis in either direction. The part of the hysteresis that
-        noise alone explains (chi-square of twelve) is subtracted first.
+        The coefficients then deviate by half the hysteresis in either direction. The part that noise explains
+        is subtracted: noise alone gives a chi-square of twelve on average.
         """
         chi2 = float(self.size @ np.linalg.solve(self.covariance, self.size))
         real = max(1.0 - len(self.size) / chi2, 0.0) if chi2 > 0 else 0.0
@@ -224,7 +224,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3), local g, with the covariance (n, 3, 3) that the temperature model causes."""
+    """Specific forces (n, 3), local g, with their covariance (n, 3, 3), g², due to the temperature model."""
 
     specific_force: Floats
     covariance: Floats
@@ -328,10 +328,11 @@ LOOKS: Final = 16
 
 @dataclass(frozen=True)
 class TableError:
-    """The largest errors, g, of a compensation table compared with the polynomials.
+    """The largest errors, g, of a force component from a compensation table, compared with the polynomials.
 
-    `bias` is the interpolation error at 0 g, `per_g` its increase per g along any axis. `single` is the additional
-    error of single precision at accelerations up to `reach_g`. The comparison is at `looks` temperatures.
+    `bias` is the interpolation error at 0 g, `per_g` its increase per g of acceleration. `single` is the
+    additional error of single precision at accelerations up to `reach_g`. The comparison is at `looks`
+    temperatures.
     """
 
     bias: float
@@ -383,9 +384,9 @@ class CompensationTable:
 def make_table(model: TemperatureModel, reach_g: float, step_k: float | None = None) -> CompensationTable:
     """Return the compensation table over the model's valid range, for accelerations up to `reach_g`.
 
-    Without `step_k` the step is halved until the table's error at 1 g is a tenth of the least standard uncertainty
-    of a compensated acceleration. Raises `CalibrationError` for an invalid or too fine step, and if K is singular
-    at a temperature.
+    Without `step_k` the step is halved until the table's error at 1 g is at most a tenth of the least
+    standard uncertainty of a compensated acceleration, or `MOST_STEPS` are reached. Raises `CalibrationError`
+    for an invalid or too fine step, and if K is singular at a temperature.
     """
     low, high = model.minimum_c, model.maximum_c
     span = high - low

@@ -207,10 +207,10 @@ NEXT: Final = 2
 
 @dataclass(frozen=True)
 class DegreeChoice:
-    """The chosen `degrees` (12,), and the changes (2, 12, D + 1) if a coefficient keeps one more term.
+    """The chosen `degrees` (12,) of the polynomials, and `doubts` (2, 12, D + 1) about the dropped powers.
 
-    `doubts[i, j]` are the changes of the terms of coefficient j if it also keeps the power `degrees[j]` + 1 + i of
-    temperature. They are zero if that power was not dropped.
+    `doubts[i, j]` are the changes of the terms of coefficient j if its polynomial also has the power
+    `degrees[j]` + 1 + i of temperature. They are zero if this power exceeds D.
     """
 
     degrees: Ints

@@ -91,9 +91,9 @@ def _nonlinear(term: str, force: Floats, conditions: Conditions) -> Floats:
 class Separable:
     """The requested terms of a channel, and which of them its orientations determine.
 
-    Of the terms `asked`, those `kept` are estimated. `inseparable` maps each other term to the shares of kept terms
-    that act like it. The estimates of these kept terms contain the term with these shares. A term without shares
-    affects no reading.
+    Of the terms `asked`, those `kept` are estimated. `inseparable` maps each other term to its shares in kept
+    terms. Such a term acts on the readings like the sum of the kept terms times these shares. The estimate of
+    a kept term contains the inseparable term times its share. A term without shares affects no reading.
     """
 
     channel: str
@@ -197,11 +197,11 @@ class TumbleView(HasCovariance):
 
     `axes` has the m quantities of all channels, in the order of `names` ("x.K0") and of `covariance` (m, m).
     `covariance_readings` is the part of the covariance due to the readings and the stated stand errors; if
-    `combined`, `covariance` also has the errors that no reading shows. `judged` says which terms the orientations
-    determine. `left_out[channel][term][quantity]` is the change of the quantity, g or g/g^n, if a term that was not
-    requested has the size 1 g/g^n. `block` has the coefficients estimated together with the requested terms. `gain`
-    (m, n, 3) is the linear map from the readings `fitted` to the quantities; `slope` (n, 3) is du/dphi. `above`
-    describes the points above 1 g that joined the fit.
+    `combined`, `covariance` also has the errors that no reading shows. `judged` says which terms the
+    orientations determine. `left_out[channel][term][quantity]` is the change of the quantity, g or g/g^n, if
+    a term that was not requested has the value 1 g/g^n. `block` has the coefficients estimated together with
+    the requested terms. `gain` (m, n, 3) is the linear map from the readings `fitted` to the quantities;
+    `slope` (n, 3) is du/dphi. `above` describes the points above 1 g that joined the fit.
     """
 
     unit: str
@@ -406,7 +406,7 @@ def _left_out(
     fit: gls.Fit, force: Floats, conditions: Conditions, terms: Sequence[str], through: Floats,
     axes: Mapping[str, Sequence[Quantity]], above: AboveOneG | None,
 ) -> dict[str, dict[str, dict[str, float]]]:  # fmt: skip
-    """Return the changes of the quantities if a term that was not requested has the size 1 g/g^n.
+    """Return the changes of the quantities if a term that was not requested has the value 1 g/g^n.
 
     They are keyed by channel, term and quantity; changes up to `MOVES` are left out.
     """
@@ -442,9 +442,9 @@ def combine(
 ) -> TumbleView:
     """Return the view with its combined covariance, which adds the errors that no reading shows.
 
-    It has no part from priors of the `terms`, because these are estimated. `day` is the date of the readings, from
-    which the drift since each certificate follows. For a view in another unit than volts, a note says that errors
-    of voltmeters are left out.
+    Priors of the `terms` do not enter the covariance, because the fit estimates these terms. `day` is the
+    date of the readings, from which the drift since each certificate follows. For a view in another unit than
+    volts, a note says that errors of voltmeters are left out.
     """
     taken = MeasuredReadings(view.fitted, view.block, meters_of(bench), view.slope)
     covariance = view.covariance.copy()

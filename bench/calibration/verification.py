@@ -70,9 +70,9 @@ class VerificationPoint:
 
     @property
     def p_false_accept(self) -> float | None:
-        """Probability that accepting the point is wrong; None unless it is accepted or a conditional pass.
+        """Probability that accepting the point is wrong; None unless the rule accepts it or leaves it open.
 
-        A conditional pass counts only if its acceptance is still to be decided.
+        The rule leaves a point open that it does not reject and that has the statement "conditional pass".
         """
         left_open = self.statement is Statement.CONDITIONAL_PASS and not self.rejected
         return self.p_outside if self.passed or left_open else None
@@ -85,10 +85,10 @@ class VerificationPoint:
 
 @dataclass(frozen=True)
 class LimitToPass:
-    """The limit of |delta g| with which a verification would pass, and the u with which it would pass.
+    """The limit of |delta g|, or else the factor on u, with which a verification would pass.
 
-    Either change suffices. `limit_g` is that limit, g; `u_times` is the factor on u, None if no factor suffices.
-    `point` is the point that exceeds its acceptance limit most.
+    `limit_g` is this limit, g; `u_times` is this factor, None if no factor suffices. `point` is the point
+    that exceeds its acceptance limit most.
     """
 
     limit_g: float
@@ -108,12 +108,12 @@ def _bisected(passes: Callable[[float], bool], good: float, bad: float) -> float
 class Verification:
     """The verdict: |delta g| within the limit, by the decision rule, at every verification point.
 
-    `missing` is the number of points that were planned or recorded but could not be judged. If one is missing, the
-    verification does not pass, since equation (10) applies to every point. `covariance` (n, n) is the covariance of
-    delta g at the points; `contributions` are the parts of this covariance by name. `population` is the prior
-    distribution of delta g, over many blocks. `fits` is false if the coefficients contradict their own readings.
-    `contradiction` is a sentence on readings that contradict the orientation stated for installation V, empty if
-    none does.
+    `missing` is the number of points that were planned or recorded but have no verdict. If one is missing,
+    the verification does not pass, since equation (10) of the paper applies to every point. `covariance` (n,
+    n) is the covariance of delta g at the points; `contributions` are the parts of this covariance by name.
+    `population` is the prior distribution of delta g, over many blocks. `fits` is false if the coefficients
+    contradict their own readings. `contradiction` is a sentence on readings that contradict the orientation
+    stated for installation V, empty if none does.
     """
 
     limit_g: float
@@ -138,7 +138,7 @@ class Verification:
 
     @property
     def statement(self) -> Statement:
-        """The statement on the worst point: other points cannot compensate for one that fails."""
+        """The worst of the statements on all points; points that are missing count as "not complete"."""
         found = [point.statement for point in self.points]
         found += [Statement.NOT_COMPLETE] * bool(self.missing)
         return max(found, key=list(Statement).index)
@@ -312,7 +312,7 @@ def verify(
 
 
 def by_rule(statement: Statement, rule: str, *, passed: bool) -> Statement:
-    """Return the statement that the rule allows.
+    """Return the statement in the terms of the decision rule named `rule`.
 
     Under a binary rule a conditional statement becomes pass if the point `passed`, else fail.
     """

@@ -53,8 +53,8 @@ MAGNITUDES_G: Final = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 class MeasuredAcceleration:
     """Uncertainty of measured accelerations `force` (d, 3), g.
 
-    `by_source` maps each source to the covariance (d, 3, 3), g², that it causes; `dof` maps it to the degrees of
-    freedom of its standard uncertainty.
+    `by_source` maps each source to the covariance (d, 3, 3), g², that it causes. `dof` maps each source to
+    the degrees of freedom of its standard uncertainty.
     """
 
     force: Floats
@@ -83,7 +83,7 @@ class MeasuredAcceleration:
         return effective_dof(variances, list(self.dof.values()))
 
     def modulus_variance(self, covariance: Floats) -> Floats:
-        """Return the variance of the modulus (d,) from covariances (d, 3, 3) of the components."""
+        """Return the variance of the modulus (d,), g², from covariances (d, 3, 3), g², of components."""
         unit = self.force / np.linalg.norm(self.force, axis=1)[:, None]
         return np.asarray(np.einsum("di,dij,dj->d", unit, covariance, unit))
 
@@ -232,7 +232,7 @@ def over_directions(
 
 
 class DeltaG(ResultModel):
-    """The uncertainty of delta g at a verification point, and the largest |delta g| that the rule accepts."""
+    """Uncertainty of delta g = |a| - 1 at a verification point, local g, and its acceptance limit."""
 
     angle_deg: float
     point: int
@@ -248,8 +248,8 @@ class DeltaG(ResultModel):
 def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     """Return the variances of delta g, local g², due to each source, shape (v, sources).
 
-    They are those at the v verification points of the setup. Errors of gain and of gravity act alike on calibration
-    and check, and cancel. Without `reading` only the errors of the coefficients count.
+    Delta g is |a| - 1 at each of the setup's v verification points. Errors of gravity and of a meter's gain
+    act alike on calibration and check, and cancel. Without `reading` only errors of coefficients count.
     """
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
@@ -271,7 +271,8 @@ def delta_g(
 ) -> tuple[DeltaG, ...]:
     """Return the uncertainty and the acceptance limit of delta g at each verification point of the setup.
 
-    For `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
+    `limit_g` is the tolerance of |delta g|, `population` the distribution of delta g over many blocks. For
+    `reading` see `delta_g_variances`. Raises `CalibrationError` for an unknown rule.
     """
     setup, decision = budget.setup, DecisionRule.of(rule)
     rows = np.flatnonzero(setup.verification)
@@ -371,7 +372,7 @@ class Simulation:
         ]
 
     def outputs(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return coefficients and delta g, shape (trials, 12 + v)."""
+        """Return the coefficients (V/g, V), then delta g (g) at v verification points, (trials, 12 + v)."""
         setup, gain = self._setup, self._budget.gain
         readings = self.readings(trials, rng)
         excess = (readings - setup.signal).reshape(trials, -1)
@@ -382,7 +383,7 @@ class Simulation:
         return np.concatenate([coefficients, np.linalg.norm(force, axis=1) - 1.0], axis=1)
 
     def readings(self, trials: int, rng: np.random.Generator) -> Floats:
-        """Return simulated readings (trials, n, 3), V, with every source of the budget drawn."""
+        """Return simulated readings (trials, n, 3), V, each trial with random errors of all sources."""
         setup = self._setup
         n, mounts = len(setup.conditions), len(setup.conditions.mounts)
         stand = np.zeros((trials, mounts, len(STAND_ANGLES)))
@@ -437,10 +438,7 @@ class Question:
 
 @dataclass(frozen=True)
 class Assessment:
-    """A budget and its consequences; `exact` is None without Monte Carlo.
-
-    `beside` are notes in addition to those of the budget.
-    """
+    """A budget with its results (`exact` is None without Monte Carlo), and additional notes `beside`."""
 
     budget: Budget
     question: Question
@@ -451,15 +449,15 @@ class Assessment:
 
     @property
     def capable(self) -> bool | None:
-        """Whether a faultless calibration passes each point with at least the coverage probability.
+        """Whether U of delta g is within the acceptance limit at all verification points; None without any.
 
-        None without verification points.
+        If so, a calibration without mistakes passes each point with at least the coverage probability.
         """
         return all(point.capable for point in self.points) if self.points else None
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Caveats for a reader of the numbers."""
+        """Sentences on assumed uncertainties and other limitations of the results, then `beside`."""
         return (*self._notes(), *self.beside)
 
     def _notes(self) -> Iterator[str]:

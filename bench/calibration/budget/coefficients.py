@@ -141,8 +141,8 @@ class Setup:
 def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     """Return the conditions of a plan's readings at known orientations, in order.
 
-    Times are the expected ones, temperatures the chamber's last set point. Raises `CalibrationError` if there is no
-    such reading.
+    Times are expected for meters at the mains frequency `line_hz`; temperatures are the chamber's last set
+    points. Raises `CalibrationError` if the plan has no such reading.
     """
     rows: list[tuple[Read, float, float]] = []
     time_s, temperature_c = 0.0, float("nan")
@@ -288,7 +288,7 @@ class MeasuredReadings:
     """Measured readings on which errors act; `block` converts their signals to forces.
 
     `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
-    calibration used these readings.
+    calibration used these readings, or if it is unknown.
     """
 
     readings: Readings
@@ -460,10 +460,10 @@ HARDLY_ANY: Final = 1e-3
 
 
 def unknown_courses(time_s: Floats, correlation_s: float) -> Floats:
-    """Return the principal components (n, q) of a stationary process of unit variance at times (n,).
+    """Return the q principal components (n, q) of a stationary process of unit variance at times (n,).
 
-    With an infinite correlation time the process is a constant, which averaging over passes does not reduce. This
-    suits limits that do not state how a quantity varies within them (GUM, 4.3.7).
+    With an infinite correlation time the process is a constant, which averaging over passes does not reduce.
+    A constant is assumed for limits that do not state how a quantity varies within them (GUM, 4.3.7).
     """
     if math.isinf(correlation_s):
         return np.ones((len(time_s), 1))
@@ -576,8 +576,9 @@ def make_budget(
 ) -> Budget:
     """Return the uncertainty budget of the estimator named `estimator`.
 
-    The estimator weighs the readings by the standard uncertainties `stated`, by default those of the sources, or by
-    `known` (see `estimator_map`). Raises `CalibrationError` if the readings do not determine the coefficients.
+    The estimator weighs the readings by the standard uncertainties `stated` (rad, V), by default those of
+    `sources`. Prior knowledge `known` from other runs replaces these. Raises the `CalibrationError` of
+    `estimator_map`.
     """
     if stated is None:
         stated = {source.name: source.u for source in sources if source.name in STAND_ERRORS}

@@ -49,13 +49,13 @@ _SHOWN: Final[Mapping[str, tuple[str, float]]] = {
 class ErrorSource:
     """An error source: the distribution of its error, and the readings that share one random draw of it.
 
-    The error is in `unit` (SI); `common` says which readings share a draw. `origin` says where the distribution
-    comes from; `prior` marks a plausible one that nobody stated. `factors` multiply the error where it acts
-    (temperature coefficients, per K). For a parameter of an effect, `effect` is set, and `written_in` has the unit
-    of model files and its value in SI. The error acts on `channels`; K2 and K3 act only on channels without such an
-    effect in the model. For correlated draws, `root` (q, k) turns k independent draws into q correlated ones. If
-    the source describes means of stand angles over mountings, `angles` names these angles. `correlation_s` is the
-    correlation time of an error that is common in "time".
+    The error is in `unit` (SI); `common` says which readings share a draw. `origin` says where the
+    distribution comes from; `prior` marks a plausible distribution that nobody stated. `factors` are the
+    numbers that convert the error to signals, such as temperature coefficients (per K). For a parameter of an
+    effect, `effect` is set, and `written_in` has the unit of model files and its value in SI. The error acts
+    on `channels`. For correlated draws, `root` (q, k) turns k independent draws into q correlated ones. If
+    the source describes means of stand angles over mountings, `angles` names these angles. `correlation_s` is
+    the correlation time of an error that is common in "time".
     """
 
     name: str
@@ -99,9 +99,9 @@ class ErrorSource:
         return np.array([float(channel in self.channels) for channel in CHANNELS])
 
     def acting(self, draws: Floats) -> Floats:
-        """Return the effects (..., k) of k independent draws, each one standard uncertainty.
+        """Return the effects (..., k) of the source's k independent draws, each of one standard uncertainty.
 
-        `draws` (..., q) are the effects of the q errors of this source, per unit of the error.
+        `draws` (..., q) are the effects of the source's q errors, each error being one unit.
         """
         return self.u * draws if self.root is None else self.u * draws @ np.array(self.root)
 
@@ -249,8 +249,8 @@ def tilt_patterns(
 def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool) -> TiltRate | None:
     """Return the foundation's tilt rate; None if nothing states it and the platform was not `levelled`.
 
-    Levellings recorded with the readings take precedence over the bench file. For a levelled platform without
-    either, the paper's rate is assumed.
+    Levellings recorded with the readings take precedence over the bench file. Without both, the rate of the
+    paper is assumed for a levelled platform.
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:

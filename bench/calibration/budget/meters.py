@@ -40,7 +40,7 @@ _SHOWN: Final = {"voltmeter_gain": (1e6, "ppm"), "voltmeter_offset": (1e6, "µV"
 
 @dataclass(frozen=True)
 class Size:
-    """The distribution of an error, its origin and degrees of freedom; `prior` if nobody stated it."""
+    """The distribution of an error, its origin and degrees of freedom; with `prior` nobody stated it."""
 
     distribution: Distribution
     origin: str
@@ -137,9 +137,9 @@ CONTRADICTS_P: Final = 0.01
 
 @dataclass(frozen=True)
 class LearnedDifferences:
-    """Learned differences of M meters from the mean of their group: `values` (M,) with `covariance` (M, M).
+    """Differences of M meters from the mean of their group: `values` (M,) with `covariance` (M, M).
 
-    Meters with the same number in `group` were compared with each other.
+    They are learned from other runs. Meters with the same number in `group` were compared with each other.
     """
 
     values: Floats
@@ -246,8 +246,8 @@ class LearnedMeters:
 class KnownMeters:
     """The errors of a bench's voltmeters that follow from learned differences between them.
 
-    `quantities` maps the name of a source to its distribution and the joint errors of the meters. `gain` and
-    `offset_v` (x, y, z) correct the readings: U (1 + gain) + offset.
+    `quantities` maps the name of a source to its distribution and the joint errors of the meters. The
+    corrected readings of x, y and z are U (1 + `gain`) + `offset_v`.
     """
 
     quantities: Mapping[str, tuple[Size, JointErrors]]
@@ -320,8 +320,8 @@ GRADIENT: Final = Distribution(0.2, "rectangular")
 def thermometer_size(bench: BenchFile) -> Size | None:
     """Return the uncertainty of the measured temperature of the block, K.
 
-    The result is None for a chamber's thermometer without a certificate: its error is smaller than the band of the
-    air temperature, which is always included.
+    The result is None if the bench file has neither a thermometer nor a certificate of the chamber: the band
+    of the air temperature, an error source of its own, then covers the error.
     """
     told_by = bench.instruments.thermometer or bench.instruments.chamber
     certificate = None if told_by is None else told_by.certificate

@@ -173,6 +173,6 @@ def require_trials(trials: int) -> None:
 
 
 def batches(count: int, batch: int) -> Iterator[int]:
-    """Yield the sizes of the batches that make up `count` trials."""
+    """Yield the numbers of trials, at most `batch` each, that add up to `count`."""
     for begun in range(0, count, batch):
         yield min(batch, count - begun)

@@ -62,8 +62,8 @@ def bench_sources(
     """Return the error sources of a bench: stand, voltmeters, gravity, temperature, block.
 
     `day` is the date of the readings, from which the drift since each certificate follows. `known` is prior
-    knowledge of stand and noise from other runs. Parameters of effects in the model of `setup` are sources, too; K2
-    and K3 have a prior only for channels without such an effect.
+    knowledge of stand and noise from other runs. Parameters of effects in the model of `setup` are sources,
+    too. The nonlinearities K2 and K3 are separate sources only for channels whose model lacks them.
     """
     own = stand_sources(bench)
     if known is not None:
@@ -76,7 +76,7 @@ def bench_sources(
 def signed_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the error sources in a calibration's combined u besides the readings and the stand angles.
+    """Return the foundation's tilt rate and the `hidden_sources`: both enter a calibration's combined u.
 
     Local gravity is left out: coefficients are stated per local g.
     """
@@ -94,7 +94,7 @@ def _foundation_source(bench: BenchFile) -> Iterator[ErrorSource]:
 def hidden_sources(
     bench: BenchFile, model: ForwardModel, day: datetime.date | None = None, meters: KnownMeters | None = None
 ) -> tuple[ErrorSource, ...]:
-    """Return the sources that no reading shows and no fit estimates.
+    """Return the sources whose errors no reading shows and no fit estimates.
 
     If the bench file does not state an error, its distribution is assumed, or the source is left out. `meters` are
     errors inferred from learned differences between the meters; they replace the voltmeters' sources.
@@ -231,10 +231,11 @@ def _room_source(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]
 
 
 def unread_sources(bench: BenchFile, model: ForwardModel) -> Iterator[ErrorSource]:
-    """Yield a source for each thermal gain or offset in the model, for readings without a meter temperature.
+    """Yield a source for each effect of the voltmeters' temperature (gain, offset) that the model has.
 
-    The temperature is unknown within the limits of the room. Its correlation time is the longer of two lags: that
-    of the effect and that of the room. A coefficient without u has the catalogue's plausible size as u.
+    It acts on readings without a recorded meter temperature, which is then unknown within the limits of the
+    room. Its correlation time is the longer of two lags: that of the effect and that of the room. A
+    temperature coefficient without u has the catalogue's plausible value as u.
     """
     room = bench.uncertainty.room_temperature
     for applied in model.effects:
@@ -409,8 +410,9 @@ def _stated(
 def effect_sources(setup: Setup) -> Iterator[ErrorSource]:
     """Yield a source for each parameter of the model's effects, with the u that the model file states.
 
-    If the file states no u, it is the catalogue's plausible size of the parameter. (A fit uses a wider prior, so
-    that the data decide.) For the effect of a meter temperature that was not recorded, see `unread_sources`.
+    If the file states no u, the catalogue's plausible value of the parameter serves as u. (A fit uses a wider
+    prior, so that the data decide.) For an effect of a meter temperature that was not recorded, see
+    `unread_sources`.
     """
     problem, unread = setup.effect_problem, setup.conditions.meter_c is None
     for name, unknown in zip(problem.names(), problem.effects, strict=True):

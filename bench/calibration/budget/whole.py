@@ -180,9 +180,9 @@ def acting_sources(
     day: date | None = None,
     meters: KnownMeters | None = None,
 ) -> list[ErrorSource]:
-    """Return the hidden sources that act on readings in `unit`.
+    """Return those of the `hidden_sources` whose errors act on readings in `unit`.
 
-    The other arguments are those of `hidden_sources`. Errors of voltmeters act on readings in volts only.
+    Errors of voltmeters act on readings in volts only. For the arguments after `unit` see `hidden_sources`.
     """
     found = hidden_sources(bench, model, day, meters)
     return [error for error in found if unit == VOLTS or error.kind not in OF_METERS]
@@ -193,13 +193,14 @@ def delta_g_elsewhere(
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
     meters: KnownMeters | None = None, calibrated_c: float | None = None,
 ) -> Floats:  # fmt: skip
-    """Return the covariance (v, v) of |a|, local g², at verification rows, given coefficients of another day.
+    """Return the covariance (v, v) of |a|, local g², at verification rows, from coefficients of another day.
 
-    `covariance` (12, 12) is that of the coefficients, `noise` (3,) the noise of the signals. With `same_meters` the
-    meters' gain and offset cancel, so `covariance` must exclude them; otherwise the gain and offset errors of
-    today's meters are added. All other errors of the readings count in full. `block_terms` (12, q), as in
-    `Calibration`, correlate the effect of K2 and K3 on the coefficients with their effect on the readings at the
-    points. `calibrated_c` is the temperature of the block, °C, at its calibration, None if unknown.
+    `covariance` (12, 12) is that of the coefficients, `noise` (3,) the noise of the signals. With
+    `same_meters` the meters' gain and offset cancel, so `covariance` must exclude them; otherwise the gain
+    and offset errors of today's meters are added. All other errors of the readings count in full.
+    `block_terms` (12, q), as in `Calibration`, are the changes of the coefficients by K2 and K3. They are
+    correlated with the changes of the readings at the points by K2 and K3. `calibrated_c` is the temperature
+    of the block, °C, at its calibration; None stands for that of the readings.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
