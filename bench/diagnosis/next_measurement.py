@@ -332,7 +332,7 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved; divergences D `before` and `after` are by pair."""
+        """Return the probability that all names are settled, from divergences D `before` and `after`."""
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {
@@ -347,7 +347,7 @@ class _Bill:
         return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
-        """Return the divergence D by (effect found, tie); a `plan` adds its readings."""
+        """Return the divergence D by (effect found, one of its ties); a `plan` adds its readings."""
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):

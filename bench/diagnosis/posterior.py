@@ -147,7 +147,7 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return, for each part, the indices of the prior sizes over which to average.
+    """Return, for each part, the indices of the prior standard deviations over which to average.
 
     Of many parts, only the `MOST_EFFECTS` least certain have all indices, each other its likeliest.
     """
@@ -168,7 +168,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and mean and covariance of the amplitudes for them."""
+    """Return ln of the probability of the priors `sizes`, and mean and covariance of the amplitudes."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -541,7 +541,7 @@ def starting_states(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return the coefficients (own, others) of a regression of the amplitudes found on the other sizes."""
+    """Return the coefficients (own, others) of a regression of the amplitudes found on the open ones."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 
@@ -549,7 +549,7 @@ def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
 def _directions(covariance: Floats, shown: Floats) -> Floats:
     """Return a square root (m, k) of a covariance, by decreasing change of the readings.
 
-    `shown` (N, m) is the change by each size, in units of noise; negligible columns are left out.
+    `shown` (N, m) is the change by each amplitude, in units of noise; negligible columns are left out.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -558,7 +558,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
 
 
 def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:
-    """Yield the effects of other shapes with these sizes, each a multiple of its prior standard deviation."""
+    """Yield the effects of other shapes with amplitudes `sizes`, each a multiple of its prior u."""
     by_effect: dict[int, tuple[AppliedEffect, dict[str, Floats]]] = {}
     for piece, size in zip(rest, sizes, strict=True):
         _, values = by_effect.setdefault(id(piece.applied), (piece.applied, {}))

@@ -1,8 +1,8 @@
 """The calibration of each channel of a record at a known input: gain, offset and drift, with u.
 
 The model is U = gain × reference + offset + drift × t. The noise is white plus slow noise, as in the
-diagnosis of records. Estimates are averaged over the kinds and sizes of noise, weighted by their restricted
-likelihood, so that u includes what slow noise may hide.
+diagnosis of records. Estimates are averaged over the kinds and variances of noise, weighted by their
+restricted likelihood, so that u includes what slow noise may hide.
 """
 
 from __future__ import annotations

@@ -261,7 +261,7 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how kinds of response predict excursions, for the first find that follows the meter's temperature."""
+    """Yield how kinds of response predict excursions, for the first effect of the meter's temperature."""
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

@@ -274,7 +274,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the `spread` (n, c) of the readings in each mean.
+    """Return the relative noise (n,) of the means, from the `spread` (n, c) of the readings in each.
 
     It is uniform if the largest is less than `LARGER` times the smallest; else it is limited to a factor of
     `LARGER` squared about the median. It is smoothed over a seventh of a full record.

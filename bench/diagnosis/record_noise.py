@@ -235,7 +235,7 @@ class Products:
 
 
 def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Return the mean of sizes over the first axis, weighted by the likelihoods exp(`log`), and its variance."""
+    """Return the mean of amplitudes over the first axis, with likelihoods exp(`log`), and its variance."""
     weight = special.softmax(log, axis=0)
     mean = np.sum(weight * size, axis=0)
     return mean, np.asarray(np.sum(weight * (variance + (size - mean) ** 2), axis=0))

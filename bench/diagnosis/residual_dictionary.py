@@ -1,4 +1,4 @@
-"""The terms of the residual model: functions of angle, turns, time, temperature and pass."""
+"""The terms of the residual dictionary: functions (courses) of angle, turns, time, temperature and pass."""
 
 from __future__ import annotations
 
@@ -186,12 +186,12 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
 
 
 def _each_size(changes: Floats) -> Iterator[SizeColumns]:
-    """Yield the columns of each of k sizes; `changes` (k, channels, N)."""
+    """Yield the columns of each of k amplitudes; `changes` are (k, channels, N)."""
     yield from map(SizeColumns, changes, changes.sum(axis=1), np.asarray(changes.any(axis=2)))
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
-    """Yield, for each size of a term of force or voltage, the change of the rows by a plausible size, (3, N)."""
+    """Yield the changes (3, N) of the rows by each plausible amplitude of a term of force or voltage."""
     effect = term.effect("term", per_channel=True)
     for size in SIZE_NAMES[: len(term.expressions)]:
         applied = AppliedEffect(effect, {size: np.full(3, term.unit.plausible)})

@@ -36,7 +36,7 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    `sha256` is a hash of all settings, of the catalogue, and of the weights of prior sizes. The sets of readings
+    `sha256` is a hash of all settings, of the catalogue, and of the weights of `sizes`. The sets of readings
     `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is always None.
     """
 

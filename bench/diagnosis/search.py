@@ -326,7 +326,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
 def _with_smaller_noise(
     task: SearchTask, prepared: Prepared, naming: Naming, noise: NoiseSize, fitted: Posterior
 ) -> Prepared | None:
-    """Return the readings whitened with the noise about the finds, if that is smaller; None otherwise."""
+    """Return the readings whitened with the noise about the effects, if that is smaller; None otherwise."""
     linear, candidates = prepared.linear, prepared.candidates
     sigma = task.smaller_noise(prepared.whitened.grid, noise)
     if sigma is None:
@@ -404,7 +404,7 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find is likely given all others, or `naming` no longer has its form."""
+    """Return whether the effect of a single run is likely beside all others, or `naming` lost its form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -453,7 +453,7 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
+    """Return the candidates with an effect of one run added, and this effect; its columns are 0 elsewhere."""
     own = run.candidates
     labels = tuple(str(mount) for mount in run.linear.readings.conditions().mounts)
     chosen = list(one.variant.columns)
