@@ -73,8 +73,8 @@ class EffectNow:
 class Confirmation:
     """The result of a confirmation: fits of new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the p-value of the chi-square with the effects; `effects` has the verdict on each. `diagnosis` is
-    that of the new readings with the model. Root mean squares are in `unit`.
+    `p_after` is the p-value of the chi-square with the effects; `effects` has the verdict on each.
+    `diagnosis` is the diagnosis of the new readings with the model. Root mean squares are in `unit`.
     """
 
     before: Model

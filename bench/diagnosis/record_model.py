@@ -205,7 +205,7 @@ def without_noise(record: Record) -> Iterator[str]:
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
-    """Return the indices of the readings at `time_s` (m,), s, in each mean: at most `BINS` equal intervals."""
+    """Return the indices of each mean's readings; `time_s` (m,), s, has at most `BINS` equal intervals."""
     edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(time_s)) + 1)
     of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
     return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]

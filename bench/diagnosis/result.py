@@ -221,7 +221,7 @@ class Diagnosis(Findings):
     amplitude, in plausible sizes, at which half of all runs find each effect; `smallest` is the joint
     amplitude of several parameters.
 
-    `in_part` are possible parts of the effects, of other shapes, which the u of the coefficients includes;
+    `in_part` are parts that the effects may have in other shapes; the u of the coefficients includes them.
     `left_open` are the parts for a model file. `findings` state where noise is larger than stated;
     `noise_kinds`, where it departs from normal noise of one standard deviation. `form` describes unnamed
     effects. Plots and reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.

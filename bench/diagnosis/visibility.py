@@ -68,8 +68,8 @@ class Smallest:
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
     """Return, for effects with several amplitudes, the joint amplitude that half of all runs find, by unit.
 
-    Amplitudes of one unit (there may be only one) are joined, in the best channel, mounting and shape, and
-    the worst proportions (such as the phase of a wave). The arguments are those of `detectable`.
+    Amplitudes of one unit (there may be only one) are joined. The best channel, mounting and shape count, and
+    the worst proportions of the amplitudes (the phase of a wave). The arguments are those of `detectable`.
     """
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates

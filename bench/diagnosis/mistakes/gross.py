@@ -89,7 +89,8 @@ class GrossSearch:
 
         It competes with the supposition that a reading, pass or mounting is useless. If the corrected copy is
         still far from the model, two mistakes may hide each other, and each mounting is left out in turn. A
-        mistake found so is returned if, together with a second one, it explains the readings clearly better.
+        mistake found then replaces the first if, together with a second one, it explains the readings clearly
+        better.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
