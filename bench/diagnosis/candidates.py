@@ -29,10 +29,10 @@ Cell = tuple[str, int]
 def spells(readings: Readings, *, lasting: bool) -> Iterator[tuple[str, ...]]:
     """Yield each set of passes or mountings in which an effect may act, as a tuple of their labels.
 
-    A set is a mounting from a later pass on, a single pass, or a whole mounting. A whole mounting is a set only if
-    its installation has several mountings; otherwise its mounting angles describe the same change. If the effect
-    outlasts a remount (`lasting`), every mounting is a set, and so is everything from a later pass on. A mounting
-    with all its passes in a set appears with one label.
+    A set is a single pass, a mounting from a later pass on, or a whole mounting. The label of a mounting
+    stands for all its passes. A whole mounting is a set only if its installation has several mountings;
+    otherwise the mounting angles describe the same change. An effect that outlasts a remount (`lasting`) may
+    also act in any whole mounting, and in all readings from a later pass on.
     """
     conditions = readings.conditions()
     mounts = [str(conditions.mounts[number]) for number in conditions.mount]
@@ -108,9 +108,9 @@ class Column(NamedTuple):
 class Variant(NamedTuple):
     """One form that a family may take: its channels, its mountings, and its shape (names and SI values).
 
-    `columns` are indices in `Candidates.columns`. The last `starts` of them are starting states
-    (`Parameter.start_of`), the others amplitudes (`sizes`). For an unnamed family, `where` says where it acts, and
-    `term` is its formula, if any.
+    `columns` are indices in `Candidates.columns`: first of amplitudes (`sizes`), then of `starts` unknown
+    states in which the effect begins (`Parameter.start_of`). For an unnamed family, `where` says where it
+    acts, and `term` is its formula, if any.
     """
 
     family: str
@@ -198,8 +198,8 @@ class Collector:
     ) -> dict[int | None, Floats]:
         """Return the columns of one parameter of an effect, as `plausible_columns` does, but faster.
 
-        The columns of an effect without a history are computed once for all rows. They are set to 0 outside
-        `mounts`.
+        The columns are computed once for all rows, and set to 0 outside `mounts`, unless the effect depends
+        on earlier rows or on the path of the head.
         """
         if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
@@ -235,7 +235,7 @@ class Collector:
 
 
 def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
-    """Return the candidates and the terms of the residual dictionary.
+    """Return the candidates, with the terms of the residual dictionary added as unnamed families.
 
     Terms that follow the same course and act on the same quantity are one family, in whatever channels they act.
     """
@@ -257,9 +257,9 @@ def is_form(candidates: Candidates, family: str) -> bool:
 
 
 def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
-    """Return the candidates without the unnamed patterns that an effect of the catalogue reproduces.
+    """Return the candidates without the unnamed patterns that effects of the catalogue reproduce.
 
-    Such a pattern has all its whitened columns in the span of one shape of the effect, up to `ALIKE`.
+    Each whitened column of such a pattern lies, up to `ALIKE`, in the span of one shape of an effect.
     """
     own: dict[tuple[object, ...], set[int]] = {}
     for variant in candidates.variants:
@@ -362,7 +362,7 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _twins(linear: LinearSystem) -> tuple[tuple[str, ...], ...]:
-    """Return the first mounting and its first pass, in which a change looks like one in all later readings.
+    """Return the first mounting and its first pass: a change there looks like one in all later readings.
 
     The coefficients absorb the difference; with the change in the later readings, they hold before the step. The
     result is empty if `spells` has no set of all later readings: if verification points come first, or inputs or
@@ -472,10 +472,10 @@ def plausible_columns(
 
 
 def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
-    """Add, for each channel, the patterns of a free value for each angle, and of one for each pass.
+    """Add two patterns for each channel: a free value for each angle, and a free value for each pass.
 
-    The values have the prior u `unit`. They differ between installations and between visits; `visit` (n,) numbers
-    the visit of each reading.
+    The values have the prior u `unit`, unit of the signal. Installations have separate values, and so have
+    mountings with different numbers `visit` (n,), one for each reading.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings
@@ -506,7 +506,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
-    """Yield an indicator column (N,) for each combination of the labels of the rows that occurs in `mine`."""
+    """Yield an indicator column (N,) for each combination of `labels` that occurs in the mask `mine`."""
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)

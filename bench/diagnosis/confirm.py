@@ -1,6 +1,6 @@
 """Confirmation of a model by new readings, which are fitted with and without the effects of the model.
 
-The effects keep the values that the model gives them. Coefficients and stand angles (within their limits) are
+The effects keep the values that the model gives them. Coefficients, and stand angles with their prior u, are
 estimated from the new readings twice: with the effects and without. The residuals of both fits are compared
 with the noise.
 """
@@ -73,8 +73,8 @@ class EffectNow:
 class Confirmation:
     """The result of a confirmation: fits of new readings, `before` without the effects, `after` with them.
 
-    `p_after` is the p-value of the chi-square with the effects; `effects` has the verdict on each. `diagnosis` is
-    that of the new readings with the model. Root mean squares are in `unit`.
+    `p_after` is the p-value of the chi-square with the effects; `effects` has the verdict on each.
+    `diagnosis` is the diagnosis of the new readings with the model. Root mean squares are in `unit`.
     """
 
     before: Model
@@ -93,8 +93,8 @@ class Confirmation:
     def verdict(self) -> Word:
         """The verdict on the model; effects that these readings could not show do not count.
 
-        "gone": no effect is present. "confirmed": all are unchanged, and they remove `MOSTLY` of the excess of
-        chi-square, or chance explains the rest. Otherwise "changed".
+        "gone": no effect is present. "confirmed": all are unchanged; they remove at least the fraction
+        `MOSTLY` of the excess of chi-square, or chance explains the rest. Otherwise "changed".
         """
         words = {effect.verdict for effect in self.effects} - {None}
         if words == {"gone"}:
@@ -125,8 +125,7 @@ def confirm(
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
     """Compare free positions with the effects of a model, and diagnose these positions for further effects.
 
-    Raises `CalibrationError` if the positions do not determine the coefficients, or could not show any of the
-    effects.
+    Raises `CalibrationError` if the positions do not determine the coefficients, or show none of the effects.
     """
     diagnosis = diagnose_free(tables, None, model)
     return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)
@@ -135,9 +134,10 @@ def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmatio
 def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Confirmation:
     """Compare a record at a known input with the effects of a model, and diagnose it for further effects.
 
-    Root mean squares are in V. Amplitudes from the record alone are averages over the shapes and starting states
-    that it allows, and u includes the variation between these. A jump keeps the time stated in the model, a supply
-    its rail. Raises `CalibrationError` if the record cannot be evaluated, or could show none of the effects.
+    Root mean squares are in V. Amplitudes from the record alone are averages over the shapes and starting
+    states that it allows, and u includes the variation between these. The time of a jump and the rail of a
+    supply stay as the model states them. Raises `CalibrationError` if the record cannot be evaluated, or
+    could show none of the effects.
     """
     record = make_record(readings)
     forms = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
@@ -233,7 +233,7 @@ def _chi2(linear: LinearSystem, noise: NoiseSize) -> float:
 def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[EffectNow, ...]:
     """Estimate the effects from these readings alone, and compare them with the model.
 
-    An `InPart` effect keeps its value of the model, which these readings determine no better. Raises
+    An `InPart` effect keeps its value in the model, because these readings determine it no better. Raises
     `CalibrationError` if the readings could show none of the effects.
     """
     model = linear.model
@@ -251,9 +251,9 @@ def _now(linear: LinearSystem, diagnosis: Diagnosis | FreeDiagnosis) -> tuple[Ef
 class EstimatedEffects:
     """The m parameters of a model's effects, and how they change in the new readings.
 
-    `plausible` (m,) are plausible sizes in SI; the other members are multiples of these. `found` (m,) and `u` (m,)
-    are values and uncertainties in the model. `change` (m,) is the new estimate minus `found`; `covariance` (m, m)
-    is that of the new estimate, without `u`.
+    `plausible` (m,) are plausible sizes in SI; the other members are multiples of these. `found` (m,) and `u`
+    (m,) are values and uncertainties in the model. `change` (m,) is the new estimate minus `found`;
+    `covariance` (m, m) is the covariance of the new estimates alone, without `u`.
     """
 
     plausible: Floats
@@ -264,7 +264,7 @@ class EstimatedEffects:
 
     @classmethod
     def unchanged(cls, model: ForwardModel, unknowns: Sequence[EffectUnknown]) -> EstimatedEffects:
-        """Return the values in the model before new readings are used: no change, and a wide prior."""
+        """Return the values in the model, a change of 0, and a wide prior (`KNOWN_SIZE`) as covariance."""
         plausible = np.array([parameter_of(model, unknown).plausible for unknown in unknowns])
         found = np.array([unknown.prior_mean for unknown in unknowns]) / plausible
         u = np.array([unknown.prior_u if unknown.stated else 0.0 for unknown in unknowns]) / plausible
@@ -276,8 +276,7 @@ def judged(
 ) -> tuple[EffectNow, ...]:
     """Return the verdict on each effect of a model; `InPart` effects are skipped, as they have none.
 
-    `unknowns` describe the m entries of `of`. Raises `CalibrationError` if the readings could not show any of
-    the effects.
+    `unknowns` describe the m entries of `of`. Raises `CalibrationError` if the readings could show no effect.
     """
     known = np.sqrt(np.diag(of.covariance))
     effects, seen = [], []
@@ -320,12 +319,12 @@ def judged(
 def _shown(
     estimated: EstimatedEffects, places: Sequence[int], *, apart: bool = True
 ) -> tuple[float, float, float, float]:
-    """Return size in the model, least size that would show, both in units of noise, `p_same` and `p_none`.
+    """Return amplitude in the model, least amplitude that would show, `p_same` and `p_none`.
 
-    The parameters with the indices `places` are judged in the directions (eigenvectors of their covariance)
-    that the readings determine. `apart` is false if the values of several mountings are judged together: they
-    are correlated in the model, which states no correlations, so that its u in a direction is taken to be at
-    most that of the readings.
+    The amplitudes are in units of noise. The parameters with the indices `places` are judged in the
+    directions (eigenvectors of their covariance) that the readings determine. If `apart` is false, values of
+    several mountings are judged together. The model does not state their correlations; therefore its u in a
+    direction counts as at most that of the readings.
     """
     use = np.array(places, dtype=np.int64)
     variance, turned = np.linalg.eigh(estimated.covariance[np.ix_(use, use)])
@@ -349,8 +348,7 @@ def _estimated(
 ) -> tuple[Floats, Floats]:
     """Return the change from the values `found` (m,), in plausible sizes, and its covariance.
 
-    Further finds are estimated as well, but not one that would hide the model's effects: it stands for their
-    change.
+    Further effects found are estimated as well, except one that could take up most of the model's effects.
     """
     count, columns = len(found), own
     fitted = posterior(linear, columns, diagnosis.noise)

@@ -6,8 +6,8 @@ residual r has nu degrees of freedom and an unknown variance (Jeffreys prior). T
 plausible size is a guess, and over the noise ratios. The evidence depends on the data only by r^T r and A^T r.
 Therefore many data sets can be scored at once.
 
-The threshold is the evidence that chance alone reaches: the same search runs on readings simulated without a
-missing effect.
+Chance alone exceeds the threshold of the evidence with the probability `FALSE_ALARMS`. The threshold comes
+from the same search in readings simulated without a missing effect.
 """
 
 from __future__ import annotations
@@ -140,10 +140,9 @@ class Group:
 class Search:
     """A search over all variants for what is missing in a model that contains the columns `known`.
 
-    `inverse` (ratios, k, k) is the inverse Cholesky factor of the Gram matrix of the k known columns with their
-    prior (`KNOWN_SIZE`); `half` (ratios, k, P) is `inverse` times their scalar products with all P columns.
-    `log_det` (ratios,) is the part of ln of the evidence that depends on the known columns, but not on the
-    data.
+    `inverse` (ratios, k, k) is the inverse Cholesky factor of the Gram matrix of the k known columns with
+    their prior (`KNOWN_SIZE`); `half` (ratios, k, P) is `inverse` times their scalar products with all P
+    columns. `log_det` (ratios,) is the part of ln of the evidence that depends only on the known columns.
     """
 
     whitened: Whitened
@@ -187,7 +186,7 @@ class Search:
         return np.asarray(gram - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
-        """Return the products (P,) of all columns with a signal, the sum of `columns` times `sizes` (k,).
+        """Return the scalar products (P,) of all columns with the sum of `columns` times their `sizes` (k,).
 
         `columns` are indices. The known columns are projected out; `ratio` is the index of the noise ratio.
         """
@@ -248,7 +247,7 @@ class Search:
 class Scores:
     """The scores of all variants in each data set.
 
-    `variants` (variants, sets) is ln of the Bayes factor; `ratio` (ratios, sets) is the probability of each noise
+    `variants` (variants, sets) is ln of the Bayes factor; `ratio` (ratios, sets) the probability of each
     ratio.
     """
 
@@ -392,8 +391,7 @@ class ThresholdCache:
     def threshold(self, linear: LinearSystem, whitened: Whitened, setting_rad: float) -> Threshold:
         """Return the threshold from the cache, or simulate and store it.
 
-        `setting_rad` is the setting error that the bench file states. A cache that cannot be written is
-        ignored.
+        `setting_rad` is the setting error of the bench file. A cache that cannot be written is ignored.
         """
         if self.folder is None:
             return make_threshold(linear, whitened)

@@ -1,4 +1,4 @@
-"""The diagnosis of free positions alone, and its gap on held-out positions."""
+"""The diagnosis of free positions alone, tested by predictions of held-out positions."""
 
 from __future__ import annotations
 
@@ -249,8 +249,9 @@ def _loose(linear: FreeSystem, *, drifting: bool = False) -> tuple[Floats, Float
 def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
     """Return the positions without outliers, a sentence for each outlier, and their tables and rows (k, 2).
 
-    One after the other, the position with the largest residual is compared with its prediction from all others. An
-    outlier deviates at least twice as much as a far reading of a run, because real sensors have heavy tails.
+    One after the other, the position with the largest residual is compared with its prediction from all
+    others. An outlier is off by 2 `FAR` standard deviations or more, twice the limit in runs: sensors have
+    heavy tails.
     """
     apart: list[str] = []
     origin: list[Ints] = []

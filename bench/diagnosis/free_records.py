@@ -88,12 +88,12 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change of |a| (N,), g, if the coefficient `of[channel]` grows by |scale factor|."""
+        """Return the change (N,) of |a|, g, if the coefficient `of[channel]` grows by the |scale factor|."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 
     def place(self, row: int) -> str:
-        """Return the sensor and the record of a row in words, with commas; each only if there are several."""
+        """Return "sensor 1, record 2, " for a row, without the sensor or record if there is only one."""
         sensor, record = int(self.sensor[row]), int(self.record[row])
         of = f"sensor {sensor + 1}, " if self.sensors > 1 else ""
         return of + (f"record {record + 1}, " if len(np.unique(self.record)) > 1 else "")
@@ -306,7 +306,7 @@ class BetweenRecords:
     repeats: Repeats
 
     def term_sizes(self) -> list[str]:
-        """Return, by channel, the term that enlarges u, as in a bench file ("1.7 mg"); empty without it."""
+        """Return, by channel, the term that enlarges u, as a bench file states it ("1.7 mg"); else empty."""
         term = self.repeats.term
         if term is None:
             return []
@@ -407,10 +407,10 @@ class FreeFit:
 class FreeDiagnosis(Findings):
     """The result of the diagnosis of free positions.
 
-    `noise`, g, is that of |a| at a position with all finds in the model. `stated_g`, g, is the u of |a| from the
-    scatter of the samples, NaN if not stated. `apart` has a sentence for each position left out; `left_out` (k, 2)
-    has its table and row. `before` and `after` are fits without and with the finds. `between` has the changes
-    between records, None if unknown.
+    `noise`, g, is the noise of |a| at a position about the model with all effects found. `stated_g`, g, is
+    the u of |a| from the scatter of the samples, NaN if not stated. `apart` has a sentence for each position
+    left out; `left_out` (k, 2) has its table and row. `before` and `after` are fits without and with the
+    effects found. `between` has the changes of the biases between records, None if unknown.
     """
 
     source: str

@@ -62,8 +62,8 @@ class HeldOut:
 class Fold:
     """One set of held-out rows, and its predictions from all other rows.
 
-    `before` is the prediction without the finds of the other rows, `after` the prediction with them. `gains` maps
-    the name of each find to the increase of chi-square without it.
+    `before` is the prediction without the effects found in the other rows, `after` the prediction with them.
+    `gains` maps the name of each of these effects to the increase of chi-square without it.
     """
 
     label: str
@@ -76,8 +76,8 @@ class Fold:
 class Gap:
     """The prediction of held-out readings by the given model, and by the model with the effects found.
 
-    `named` are the finds of all readings. `undetermined` are the sets that cannot be held out, because the other
-    readings do not determine the coefficients. Chi-square is in units of `noise`.
+    `named` are the effects found in all readings together. `undetermined` are the sets that cannot be held
+    out, because the other readings do not determine the coefficients. Chi-square is in units of `noise`.
     """
 
     folds: tuple[Fold, ...]
@@ -103,7 +103,7 @@ class Gap:
 
     @property
     def closed(self) -> float | None:
-        """The fraction of the excess of reduced chi-square over 1 that the finds remove.
+        """The fraction of the excess of reduced chi-square over 1 that the effects found remove.
 
         None if there is no excess, or nothing was held out.
         """
@@ -155,11 +155,11 @@ class Gap:
 
     @property
     def shrinks(self) -> bool | None:
-        """Whether held-out readings confirm the finds; None if there are none, or nothing was held out.
+        """Whether held-out readings confirm the effects found; None without effects or held-out readings.
 
-        Chi-square must fall by `LEAST_FALL`, for all finds together and for each. Of the excess of reduced
-        chi-square over 1, `MOSTLY` must vanish, unless chance explains the rest. Root mean squares do not
-        count, because setting errors dominate them.
+        Chi-square must fall by at least `LEAST_FALL` for all effects together, and for each of them. At least
+        the fraction `MOSTLY` of the excess of reduced chi-square over 1 must vanish, unless chance explains
+        the rest. Root mean squares do not count, because setting errors dominate them.
         """
         if not self.named or not self.folds:
             return None
@@ -246,9 +246,10 @@ def measure_gap(
 ) -> Gap:
     """Hold out each set of rows in turn, search for effects in the others, and predict the rows held out.
 
-    `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings; `setting_rad` is
-    the setting error that the bench file states. `parts` are labels and masks (N,) of the sets. By default, these
-    are passes and moduli (`folds_of`), or thirds (`thirds_of`) if the rest does not determine the finds or their
+    `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings;
+    `setting_rad` is the setting error that the bench file states. `parts` are labels and masks (N,) of the
+    sets. By default, these are passes and moduli (`folds_of`). They are thirds (`thirds_of`) if the rows
+    outside a pass, or outside the moduli, do not determine the coefficients, the effects found or their
     forms.
     """
     hold = partial(
@@ -274,11 +275,11 @@ def _tell(
     noise: NoiseSize,
     parts: Sequence[tuple[str, Mask]],
 ) -> bool:
-    """Return whether the readings outside each held-out part show every find and determine its form.
+    """Return whether the readings outside each held-out part show every effect found and determine its form.
 
-    They show a find if they contain `MOSTLY` of the square of its signature. They do not determine its form if
-    they admit one (at most `ALIAS` unexplained) that all readings exclude (more than `LEAST_FALL`): chance
-    would then choose the form that predicts the held-out part.
+    They show it if they contain `MOSTLY` of the square of its signature. They do not determine the form if
+    another form explains the signature in them (up to `ALIAS`), but not in all readings (more than
+    `LEAST_FALL` remains). Chance would then choose the form that predicts the held-out part.
     """
     amplitudes = posterior(linear, candidates.columns[:, list(naming.columns)], noise).amplitudes
     every = np.ones(len(linear), dtype=bool)
@@ -299,9 +300,9 @@ def _tell(
 def _left_by_forms(
     linear: LinearSystem, noise: NoiseSize, columns: Floats, forms: Sequence[Ints], rows: Mask
 ) -> tuple[float, Floats]:
-    """Return the squares, over noise, of a signature and (forms,) of what each form leaves of it.
+    """Return the square of a signature, in units of noise, and (forms,) the part that each form leaves of it.
 
-    The signature is the first of `columns` (N, 1 + k); `forms` have the indices of theirs among the other k.
+    The signature is the first of `columns` (N, 1 + k); each of `forms` has indices among the other k columns.
     """
     white = make_whitener(restrict(linear, rows), noise.reading, noise.setting_rad)
     seen = white @ (columns[rows] / noise.reading)
@@ -340,7 +341,7 @@ def _fold(
     label: str,
     held: Mask,
 ) -> Fold:
-    """Search the rows outside the mask `held` (N,); predict the others without and with the finds."""
+    """Search the rows outside the mask `held` (N,); predict those in it without and with the effects."""
     part, candidates = restrict(linear, ~held), whitened.candidates
     kept = replace(candidates, columns=candidates.columns[~held])
 

@@ -246,13 +246,13 @@ class LinearSystem:
     def stage_columns(
         self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
-        """Return the linearised changes of the rows by an effect (k = 1) or k time courses (n, k) at one stage.
+        """Return the linearised changes of the rows by one effect, or by k time courses (n, k), at one stage.
 
-        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At the
-        output of the block, a course is in g; in the voltmeter, it is in the unit of the signal. If
-        `in_proportion`, it is a fraction of the specific force or of the signal. In block and voltmeter, the result
-        is (N, k, 3), by channel. An effect must act in one of these two, and must not depend on the path of the
-        head.
+        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1); an
+        effect has k = 1. At the output of the block, a course is in g; in the voltmeter, it is in the unit of
+        the signal. With `in_proportion`, a course at these two stages is a fraction of the specific force or
+        of the signal. Their result is (N, k, 3), by channel. An effect must act at one of these two stages,
+        and must not depend on the path of the head.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):

@@ -261,8 +261,8 @@ def candidates_of(linear: LinearSystem, unit_noise: float, absent: Collection[st
 def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[str, ...], ...]]:
     """Yield the sets of mountings in which an effect of several runs may act.
 
-    It is common to all, in one installation, or differs by block, run or mounting. Effects of single passes are
-    searched in each run instead. The shape of an effect is not fitted to different sizes by block.
+    An effect is common to all mountings or to one installation, or differs by block (without shape
+    parameters), run or mounting. Effects of single passes are searched in each run instead.
     """
     readings = linear.readings
     if effect.per_pass:
@@ -334,7 +334,7 @@ def _add_by_run(collector: Collector, run: Ints, unit: float) -> None:
 
 
 def elapsed_part(time_s: Floats, run: Ints) -> Floats:
-    """Return the fraction of its run, 0 to 1, that had elapsed at each time (n,); `run` (n,) numbers the runs."""
+    """Return the fraction of a run, 0 to 1, elapsed at each time (n,), s; `run` (n,) numbers the runs."""
     part = np.zeros(len(run))
     for mine in (run == number for number in np.unique(run)):
         part[mine] = (time_s[mine] - time_s[mine].min()) / max(float(np.ptp(time_s[mine])), 1e-300)

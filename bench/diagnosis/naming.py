@@ -1,4 +1,4 @@
-"""Naming of what is missing: effects join the model one by one, each with the odds of the families in its place."""
+"""Naming of missing effects: they join the model one by one, and other families compete with each."""
 
 from __future__ import annotations
 
@@ -37,10 +37,11 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family, with all other finds in the model. `total` is ln of the odds
-    that an effect is missing if the model lacks this find. `size` is the root of the decrease of chi-square. `odds`
-    are the probabilities of the families that could be in its place. The readings do not exclude its `ties`; those
-    in `same` have the same signature. `plainer_than` are families that include it and need more parameters.
+    `evidence` is ln of the Bayes factor of its family beside all other effects found. `total` is ln of the
+    odds that an effect is missing if the model lacks this one. `size` is the root of the decrease of
+    chi-square. `odds` are the probabilities of all families in its place. The readings do not exclude its
+    `ties`; those in `same` have the same signature. `plainer_than` are families that include it and need more
+    parameters.
     """
 
     variant: Variant
@@ -74,7 +75,7 @@ class Naming:
             start = stop
 
     def sizes(self) -> Iterator[tuple[FoundEffect, slice]]:
-        """Yield each effect found, with the slice of its sizes among `columns`; starting states are left out."""
+        """Yield each effect found and the slice of its amplitudes (not starting states) among `columns`."""
         for found, mine in self.parts():
             yield found, slice(mine.start, mine.stop - found.variant.starts)
 
@@ -139,10 +140,10 @@ class Scored:
         return FoundEffect(variant, self.evidence[family], self.total, size)
 
     def in_place_of(self, one: FoundEffect) -> Iterator[tuple[Variant, float]]:
-        """Yield the likeliest form of each tie of a find, with its probability.
+        """Yield the likeliest form of each of the `ties` of an effect found, with its probability.
 
-        For a find without a name, other forms of its family follow. Forms with a probability below `BY_CHANCE` are
-        left out.
+        For an unnamed effect, other forms of its family follow. Forms less probable than `BY_CHANCE` are
+        omitted.
         """
         variants = self.search.whitened.candidates.variants
         odds = {found.name: found.probability for found in one.odds}
@@ -194,10 +195,10 @@ class Scored:
 
 
 def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
-    """Return the scores without the forms whose starting states are too large for their sizes.
+    """Return the scores without the forms whose starting states are too large for the amplitudes.
 
-    A state is at most `FARTHEST` standard deviations for the size found, beside twice its u, but the evidence
-    takes them as independent. Forms of `NEGLIGIBLE` weight are not examined.
+    A state may be at most `FARTHEST` of its standard deviations for the amplitude found, plus twice its u.
+    The evidence treats both as independent. Forms of `NEGLIGIBLE` weight are not examined.
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
@@ -228,7 +229,7 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
-    """Return the effects that `find` finds in one data set, with the odds of the families in place of each."""
+    """Return the effects that `find` returns, as a `Naming` with the odds of all families in their place."""
     found = find(whitened, data, threshold, most, begun, among)
     scored = Scored.beside(whitened, data, _columns(found))
     beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))
@@ -245,9 +246,9 @@ def named_again(
     among: Among | None = None,
     kept: int = 0,
 ) -> Naming:
-    """Return the finds with their odds, after replacing each by the effect that fits best beside the others.
+    """Return the effects `found` with their odds, each replaced by the one that fits best beside the others.
 
-    The first `kept` are not replaced. Only families of `among` (None: all) replace a find.
+    The first `kept` are not replaced. Only families that `among` permits (None: all) replace an effect.
     """
     return name(whitened, data, threshold, 0, _re_examine(whitened, data, list(found), among, kept))
 
@@ -263,7 +264,7 @@ def find(
     """Return the effects that act in one data set and that the model lacks, after those in `begun`.
 
     The search ends when the odds of a missing family are below the threshold, or after `most` more effects.
-    Only families of `among` (None: all) are found; the odds include all families.
+    Only families that `among` permits (None: all) are found; the odds include all families.
     """
     found, free = list(begun), len(begun)
     while len(found) < most + free:
@@ -291,7 +292,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Test each find after the first `kept` again, given all others: another effect may now fit better."""
+    """Replace effects after the first `kept` by any that fit better beside all others."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):
@@ -306,10 +307,10 @@ def _re_examine(
 def needed(
     whitened: Whitened, data: Data, found: list[FoundEffect], threshold: Threshold, kept: int = 0
 ) -> list[FoundEffect]:
-    """Return the finds that are necessary; the first `kept`, and at least one find, always stay.
+    """Return the effects `found` that are necessary; the first `kept`, and at least one, always stay.
 
-    A find is necessary if, without it, the odds of a missing effect reach the threshold. The weakest find is tested
-    first.
+    An effect is necessary if, without it, the odds of a missing effect reach the threshold. The weakest is
+    tested first.
     """
     while len(found) > max(kept, 1):
         without = [Scored.beside(whitened, data, _columns(found, but=i)) for i in range(kept, len(found))]

@@ -141,9 +141,9 @@ Noise then makes the wrong one likelier in 2.3 % of runs, as often as it gives a
 
 @dataclass(frozen=True)
 class Separation:
-    """The divergence D of an effect found from one of its ties, `before` and `after` a procedure is carried out.
+    """Divergence D of an effect from one that explains the readings as well, before and after a procedure.
 
-    D is the expected ln of the odds of the true name against the other; a larger D separates them better.
+    D is the expected ln of the odds of the true effect against the other; a larger D separates them better.
     """
 
     effect: str
@@ -159,9 +159,9 @@ class Separation:
 
 @dataclass(frozen=True)
 class Chance:
-    """How long a procedure takes, in `hours`, and the probability `answers` that it resolves every tie.
+    """The `hours` that a procedure takes, and the probability `answers` that it settles all names.
 
-    A tie is resolved if one of its names reaches a posterior probability of 1 - `OFTEN`.
+    The name of an effect is settled if one candidate reaches a posterior probability of 1 - `OFTEN`.
     """
 
     procedure: str
@@ -170,12 +170,12 @@ class Chance:
 
 
 def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) -> float:
-    """Return the probability that further readings give one name of a tie a posterior probability of 1 - `OFTEN`.
+    """Return the probability that further readings decide between the name of an effect found and its rivals.
 
-    `odds` maps the name of the find, `first`, and those of its rivals to their present probabilities. `gained` maps
-    rivals to the increase of their divergence D from `first` (-inf: never distinguished). The increase of ln of the
-    odds of the true name has a normal distribution of mean D and variance 2 D. Only the rival that is hardest to
-    separate counts.
+    They decide if a name reaches a posterior probability of 1 - `OFTEN`. `odds` maps the name found, `first`,
+    and its rivals to their present probabilities. `gained` maps rivals to the increase d of their divergence
+    from `first` (-inf: never distinguished). ln of the odds of the true name increases by a normal number of
+    mean d and variance 2 d. If `first` is true, only the rival that is hardest to separate counts.
     """
     enough = math.log((1.0 - OFTEN) / OFTEN)
 
@@ -195,9 +195,9 @@ def answers(odds: Mapping[str, float], gained: Mapping[str, float], first: str) 
 class Proposal:
     """The procedure proposed as the next measurement: its file `source`, its duration, and the reason `why`.
 
-    `settles` are ties that it resolves or reduces; `shows` are hidden effects that it would show. `left_out`
-    maps procedures not considered to reasons. `written` is the path of a copy that begins with `why` (`write`).
-    If there are ties, `chances` has durations and probabilities of the procedures considered, the best first.
+    `settles` are pairs of effects that it separates better; `shows` are hidden effects that it would show.
+    `left_out` maps procedures not considered to reasons. `written` is the path of a copy that begins with
+    `why` (`write`). With `settles`, `chances` has durations and probabilities of the procedures, best first.
     """
 
     why: str
@@ -211,7 +211,7 @@ class Proposal:
 
     @property
     def surer(self) -> Chance | None:
-        """The entry of the proposed procedure in `chances`; None if there are no ties."""
+        """The entry of the proposed procedure in `chances`; None if `chances` is empty."""
         return next((one for one in self.chances if one.procedure == self.name), None)
 
     @property
@@ -249,10 +249,10 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    With ties, it is the shortest of the procedures that resolve the most ties. If none resolves any, it is the one
-    that increases the divergence D most per minute. Without ties, it is the shortest of those that show the most
-    hidden effects. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
-    Nothing is proposed after a mistake or an unnamed effect.
+    If several effects explain the readings equally well, it is the shortest that separates the most pairs of
+    them, or else the one that increases their divergence D most per minute. For the verdicts "named" and
+    "agrees", it is the shortest that shows the most hidden effects. For "mistake" and "unknown", nothing is
+    proposed. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None
@@ -307,7 +307,7 @@ class _Bill:
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
-        """Return the procedure that resolves the most ties, else separates them fastest; None if none helps."""
+        """Return the procedure that separates the most pairs, else separates fastest; None if none helps."""
         before = self._divergences(None)
         bills, chances = [], []
         for path, plan in self.plans.items():
@@ -332,7 +332,7 @@ class _Bill:
     def _answers(
         self, before: Mapping[tuple[str, str], float], after: Mapping[tuple[str, str], float]
     ) -> float:
-        """Return the probability that every tie is resolved; divergences D `before` and `after` are by pair."""
+        """Return the probability that all names are settled, from divergences D `before` and `after`."""
         whole = 1.0
         for effect in self._diagnosis.effects:
             gained = {
@@ -347,7 +347,7 @@ class _Bill:
         return whole
 
     def _divergences(self, plan: Plan | None) -> dict[tuple[str, str], float]:
-        """Return the divergence D by (effect found, tie); a `plan` adds its readings."""
+        """Return the divergence D by (effect found, one of its ties); a `plan` adds its readings."""
         diagnosis, linear = self._diagnosis, self._linear(plan)
         result = {}
         for index, effect in enumerate(diagnosis.effects):

@@ -53,7 +53,7 @@ class Span:
     kept: Floats
 
     def leave(self, white: Floats, taken: Floats) -> None:
-        """Subtract the fraction `taken` (k,) of each direction from the columns `white` (N, …), in place."""
+        """Subtract, in place, the fraction `taken` (k,) of the part along each direction from `white`."""
         inside: Floats = self.basis.T @ white[self.rows]
         white[self.rows] -= self.basis @ (inside.T * taken).T
 
@@ -62,10 +62,10 @@ class Span:
 class Whitener:
     """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    Rows with correlated noise form sets. For each number n of rows in a set, `blocks` has the indices (b n,) of the
-    rows of all b such sets, and the matrices (b, n, n) that make their noise independent, whatever the setting
-    error. `root` (N,) are the factors that then make the variances equal. `fitted` are orthogonal subspaces that
-    are removed, one for each accelerometer block.
+    Rows with correlated noise form sets. For each number n of rows in a set, `blocks` has the indices (b n,)
+    of the rows of all b such sets, and the matrices (b, n, n) that make their noise independent, whatever the
+    setting error. The factors `root` (N,) then make the variances equal. `fitted` are orthogonal subspaces
+    that are removed: of the coefficients of each accelerometer block, and of other unknowns.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]
@@ -153,8 +153,8 @@ class NoiseGrid:
     def log_likelihood(self, square: Floats, out: Floats | None = None) -> Floats:
         """Return ln of the likelihood, up to a constant, from the sums of squares of whitened residuals, `square`.
 
-        These are in units of `sigma` squared. Unless the noise is known, its variance is integrated out. `out` is
-        an array for the result.
+        The sums are in units of `sigma` squared. Unless the noise is known, its variance is integrated out.
+        `out` is an array for the result.
         """
         if self.known:
             return np.multiply(square, -0.5, out=out)
@@ -209,7 +209,7 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 
 
 def _wide(linear: LinearSystem) -> Mask:
-    """Return the mask (q,) of `random` columns in more than `FEW` of the rows, or than a run has.
+    """Return the mask (q,) of `random` columns that act in more rows than a run has, or than `FEW` of all.
 
     They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same.
     """
@@ -220,7 +220,7 @@ def _wide(linear: LinearSystem) -> Mask:
 def _whites(
     linear: LinearSystem, settings: Sequence[float], sigma: float
 ) -> Iterator[tuple[Whitener, float]]:
-    """Yield the map for each setting error, rad per unit of noise, with ln of the likelihood without the data."""
+    """Yield the map for each setting error, rad per unit of noise, with its part of `NoiseGrid.log_det`."""
     wide = _wide(linear)
     fixed, shared = linear.fixed, linear.random[:, wide] / sigma
     blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
@@ -398,7 +398,7 @@ def noise_of_repeats(linear: LinearSystem, resolution: float) -> Repeats:
 def _likeliest(squares: Floats, along: Floats) -> float:
     """Return the noise of the largest likelihood for independent `squares` (m,) of residuals.
 
-    The variance of the setting error, times `along` (m,), is tried in multiples of that of the noise.
+    Each has the noise variance plus `along` (m,) times that of a setting; ratios on a grid are compared.
     """
     ratio = np.append(0.0, np.geomspace(1e-2, 1e6, 81)) / max(float(along.max()), 1e-300)
     size = 1.0 + np.outer(ratio, along)
@@ -469,12 +469,12 @@ def is_coarse(digit: float, sigma: float) -> bool:
 
 
 def is_rounded(digit: float, sigma: float) -> bool:
-    """Return whether repeats share a rounding error, so that residuals do not show the noise; it is then fixed."""
+    """Return whether repeats share a rounding error, so that the noise is `sigma`, not that of residuals."""
     return repeated(digit, sigma) > SAME_SIZE * sigma
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the rounding error that repeats share as noise, unless it is negligible.
+    """Return the system with the rounding error that repeats share as a further noise, unless negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """
@@ -492,7 +492,7 @@ def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSys
 
 
 def repeated(digit: float, sigma: float) -> float:
-    """Return the 1 sigma of the rounding error that repeats share; `sigma` is the noise with rounding."""
+    """Return the standard deviation of the rounding error that repeats share; `sigma` includes rounding."""
     if not digit > 0.0:
         return 0.0
     return float(rounding_variance(np.array([sigma]), digit / np.sqrt(12.0))[0] ** 0.5)

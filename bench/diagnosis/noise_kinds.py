@@ -61,7 +61,7 @@ class NoiseHypothesis:
 def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield noise hypotheses that `linear` does not yet contain, each with its likeliest parameters.
 
-    The columns `effects` (N, m) are in the model; `noise` is the noise about it.
+    The columns `effects` (N, m) are in the model; `noise` is the noise about this model.
     """
     left, free = _fit(linear, effects, noise)
     yield from _by_channel(linear, left, free)
@@ -80,7 +80,7 @@ def noise_hypotheses(linear: LinearSystem, effects: Floats, noise: NoiseSize) ->
 
 
 def log_null(grid: NoiseGrid) -> float:
-    """Return the term of ln of the evidence that makes grids of different unit `grid.sigma` comparable."""
+    """Return the term of ln of the evidence that makes grids with different `grid.sigma` comparable."""
     return -grid.freedom * math.log(grid.sigma)
 
 
@@ -136,7 +136,7 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
 
 
 def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield the hypothesis that the noise, but not the setting error, has a size of its own in each run."""
+    """Yield the hypothesis that the noise, but not the setting error, differs between runs."""
     run = linear.readings.run[linear.rows.reading]
     system, variance = linear, np.ones(int(run.max()) + 1)
     sizes = variance
@@ -157,7 +157,7 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
 def _by_place(linear: LinearSystem, left: Floats) -> Iterator[NoiseHypothesis]:
     """Yield the hypothesis of larger noise in one place: a channel of an installation, or of one of its passes.
 
-    The prior odds pay for the choice of the place, and for one more size.
+    The odds are lowered for the choice of the place and for one more parameter.
     """
     places = _larger(linear, left)
     found = min((one for one in places if one[0].where), key=lambda one: one[0].p, default=None)
@@ -198,7 +198,7 @@ class LocalScatter:
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
-    """Return the place where the residuals `left` (N,) scatter most significantly; None if no place does."""
+    """Return the place where residuals `left` (N,) scatter most significantly; None if none does."""
     return min((one for one, _ in _larger(linear, left)), key=lambda one: one.p, default=None)
 
 
@@ -293,9 +293,9 @@ def log_density(linear: LinearSystem, effects: Floats, like: NoiseGrid) -> float
 class SlowNoise:
     """Slow noise (1/f) in some `channels`, independent in each, of equal standard deviation.
 
-    `size` is its root mean square, unit of the signal; `columns` (N, k) are the changes by one standard deviation
-    of each component. `evidence` is ln of the Bayes factor, averaged over sizes. `cost` is ln of the ratio of the
-    mean to the largest likelihood.
+    `size` is its root mean square, unit of the signal; `columns` (N, k) are the changes by one standard
+    deviation of each component. `evidence` is ln of the Bayes factor, averaged over sizes and alternatives;
+    `cost` is `evidence` minus ln of the largest Bayes factor.
     """
 
     channels: tuple[int, ...]
@@ -341,7 +341,7 @@ def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple
 
 
 def _of_reference(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield 1/f noise, a fraction of each signal, of one reference or of one for each, the likelier."""
+    """Yield 1/f noise in proportion to the signals, of one common reference or of one for each meter."""
     signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
     own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
     if any(not waves.shape[1] for waves in own):
@@ -379,9 +379,9 @@ def _likeliest(
     columns: Floats,
     choices: int = 1,
 ) -> SlowNoise:
-    """Return the likeliest size of slow noise with draws `columns` (N, k) of root mean square 1.
+    """Return the likeliest size of slow noise whose components `columns` (N, k) sum to root mean square 1.
 
-    The hypothesis is one of as many `choices`.
+    `choices` is the number of alternatives among which this hypothesis is chosen.
     """
     left, inside = white @ (linear.response / sigma), white @ columns
     values, vectors = np.linalg.eigh(inside.T @ inside)
@@ -401,7 +401,7 @@ def _likeliest(
 
 
 def _waves(linear: LinearSystem, channel: int) -> Floats:
-    """Return draws (N, waves + 1) of 1/f noise in a channel, of unit root mean square about their mean.
+    """Return components (N, waves + 1) of 1/f noise in a channel, of unit root mean square about its mean.
 
     The last is the mean over the run, as large as the slowest wave. Too few readings, or one time, give none.
     """
@@ -558,9 +558,9 @@ def _of_readings(
 def _stated(
     readings: Readings, stand_u: Mapping[str, float], rounding: float
 ) -> Iterator[tuple[float, float, str]]:
-    """Yield the size, freedom and source of the noise that bench file and samples state, with `rounding`.
+    """Yield standard deviation, freedom and source of the noise that bench file and samples state.
 
-    Samples do not show an error that they share; the bench file may state it.
+    The `rounding` error is added. Samples do not show an error that they share; the bench file may state it.
     """
     size = stand_u.get("voltmeter_error", 0.0)
     if size > 0.0 and readings.unit == "V":

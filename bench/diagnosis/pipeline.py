@@ -159,9 +159,9 @@ def diagnose(
 
 
 def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
-    """Return the joint estimate without weak finds that held-out readings do not confirm, and these.
+    """Return the joint estimate without weak effects that held-out readings do not confirm, and these.
 
-    They are left out only beside a stronger find; one far beyond the threshold needs no confirmation.
+    They are left out only beside a stronger effect; one far beyond the threshold needs no confirmation.
     """
     estimated = _estimated(prepared, naming)
     if estimated.gap.shrinks is not False or len(naming.found) < 2:
@@ -204,7 +204,7 @@ class _Estimated:
     """The joint estimate of coefficients and named effects, with the `noise` about them.
 
     `sized` are the estimates with the shapes found, `fitted` those with parts of other shapes, too. `in_part`
-    are these parts and the starting states; `left_open` are those of them for a model file. `gap` is the
+    are these parts and the starting states; `left_open` has what a model file states of them. `gap` is the
     prediction of held-out readings.
     """
 
@@ -235,7 +235,7 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
 
 
 def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
-    """Return the terms for finds without a name, or for one tied with a name; None if names suffice."""
+    """Return the terms for unnamed effects, or for effects tied with a term; None if names suffice."""
     linear, whitened, data = prepared.linear, prepared.whitened, prepared.data
     candidates, naming = whitened.candidates, estimated.naming
     named = [one for one in naming.found if one.variant.named]
@@ -262,9 +262,9 @@ def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:
 def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding | str], gap: Gap) -> Verdict:
     """Return the verdict on readings without mistakes: the first of these that applies.
 
-    "unknown": there are `findings` (noise larger than stated, or readings far off), or an effect is not in the
-    catalogue. "confounded": an effect has ties, or held-out readings do not confirm the effects. "named": effects
-    were found. "agrees": nothing was found.
+    "unknown": there are `findings` (noise larger than stated, or readings far off), or an effect is not in
+    the catalogue. "confounded": others explain the readings as well as an effect does, or held-out readings
+    do not confirm the effects. "named": effects were found. "agrees": nothing was found.
     """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
@@ -280,7 +280,7 @@ def effects_of(
     limit: Threshold,
     linear: LinearSystem | None = None,
 ) -> tuple[NamedEffect, ...]:
-    """Return the finds with the estimates `fitted` of their parameters; p-values use the threshold `limit`.
+    """Return the effects found with the estimates `fitted`; p-values use the threshold `limit`.
 
     Aliases of periods per turn, and channels of unnamed effects, are stated only if `linear` is given.
     """
@@ -332,7 +332,7 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds of names for a find, unnamed forms as one; below 1 % only those of ties."""
+    """Return the odds of the names for an effect, unnamed forms as one; below 1 % only those of ties."""
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
@@ -391,8 +391,8 @@ def values_of(applied: tuple[AppliedEffect, ...]) -> Iterator[EffectValue]:
 class Rival:
     """A family that may be present in place of an effect found.
 
-    `evidence` is ln of its Bayes factor; `tied` says whether it is a tie. `shift` (12 × blocks,) is the change of
-    each coefficient, in units of its u, if this family replaces the effect in the model.
+    `evidence` is ln of its Bayes factor; it is `tied` if the readings do not exclude it. `shift` (12 ×
+    blocks,) is the change of each coefficient, in units of its u, if it replaces the effect in the model.
     """
 
     family: str
@@ -408,7 +408,7 @@ class Rival:
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each find, the `LISTED` families most likely in its place and all its ties, the best first."""
+    """Return, for each effect, its own and tied families and at least the `LISTED` likeliest, best first."""
     naming, candidates = diagnosis.naming, diagnosis.candidates
     if not naming.found:
         return ()
@@ -432,10 +432,10 @@ def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
 
 
 def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
-    """Return the shifts (k, 12 per block) of the coefficients if a tie replaces a find.
+    """Return the shifts (k, 12 per block) of the coefficients if a tied family replaces an effect found.
 
-    Each is multiplied by the root of the tie's probability. Finds without a name count only if all of them
-    are terms of the dictionary, and these can join the model.
+    The readings do not exclude this family; each shift is multiplied by the root of its probability. Unnamed
+    effects count only if all of them are terms of the dictionary, and these can join the model.
     """
     form, naming = diagnosis.form, diagnosis.naming
     same = all(one.variant.named or one.variant.term for one in naming.found)
@@ -451,13 +451,13 @@ def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
 
 
 def _beside(diagnosis: Diagnosis, one: FoundEffect) -> tuple[Scored, list[int]]:
-    """Return the scores beside all other finds, and the columns of these."""
+    """Return the scores beside all other effects found, and the columns of these."""
     others = [i for f in diagnosis.naming.found if f is not one for i in f.variant.columns]
     return Scored.beside(diagnosis.whitened, diagnosis.data, others), others
 
 
 def _coefficients(diagnosis: Diagnosis, columns: Sequence[int]) -> Floats:
-    """Return the changes of the coefficients from the first guess if these columns explain the readings.
+    """Return the changes of the coefficients from `linear.block` with these columns in the model.
 
     All columns have the same wide prior, so that a difference of two results is not due to priors.
     """
@@ -470,8 +470,8 @@ def _coefficients(diagnosis: Diagnosis, columns: Sequence[int]) -> Floats:
 class FullDiagnosis:
     """The result of the command `bench diagnose` for one set of readings.
 
-    `ranking` has, for each find, the families that may be in its place. `skipped_rows` are rows that could not
-    be read. `shown` has the simulations of the first block; if there are several, `blocks` has those of all.
+    `ranking` has the families that may be in place of each effect. `skipped_rows` are rows that could not be
+    read. `shown` has the simulations of the first block; if there are several, `blocks` has those of all.
     """
 
     source: str

@@ -1,4 +1,4 @@
-"""Joint estimate of coefficients and finds, and parts of the finds that the readings do not determine.
+"""Joint estimate of coefficients and effects found, and parts of these that the readings do not determine.
 
 These open parts are other shapes, other channels and starting states. The u of the coefficients includes them, and
 a model file states them.
@@ -106,8 +106,8 @@ def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mas
 def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, noise: NoiseSize) -> Posterior:
     """Return the estimates with all effects found, averaged over the prior standard deviations of the amplitudes.
 
-    Each of these (`evidence.SIZES`) has its posterior probability. The prior thus determines u where readings do
-    not determine an effect, as between mountings.
+    Each prior (`evidence.SIZES`) has its posterior probability as weight. Where the readings do not determine
+    amplitudes, such as those of single mountings, u thus follows from the prior.
     """
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
@@ -132,7 +132,7 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 
 def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
-    """Return mean and covariance of amplitudes over the prior sizes; `precision` (m, m) is without a prior."""
+    """Return mean and covariance of amplitudes over the priors; `precision` (m, m) is without a prior."""
     log_weights, means, spreads = zip(
         *(
             _of_sizes(precision, right, parts, sizes)
@@ -147,7 +147,7 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 
 
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
-    """Return, for each part, the indices of the prior sizes over which to average.
+    """Return, for each part, the indices of the prior standard deviations over which to average.
 
     Of many parts, only the `MOST_EFFECTS` least certain have all indices, each other its likeliest.
     """
@@ -168,7 +168,7 @@ def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -
 def _of_sizes(
     precision: Floats, right: Floats, parts: Sequence[slice], sizes: Sequence[int]
 ) -> tuple[float, Floats, Floats]:
-    """Return ln of the probability of the prior `sizes`, and mean and covariance of the amplitudes for them."""
+    """Return ln of the probability of the priors `sizes`, and mean and covariance of the amplitudes."""
     prior = np.ones(len(right))
     for size, mine in zip(sizes, parts, strict=True):
         prior[mine] = 1.0 / SIZES[size] ** 2
@@ -302,8 +302,8 @@ def applied_of(
 ) -> tuple[AppliedEffect, ...]:
     """Return an effect with its estimated values in SI, one entry for each set of mountings.
 
-    `value` and `u` (p,) are in plausible sizes; `either_of` names the effect and its ties; `effect`, if given,
-    replaces the effect of the catalogue.
+    `value` and `u` (p,) are in plausible sizes; `either_of` names the effects of which one is present;
+    `effect`, if given, replaces the effect of the catalogue.
     """
     effect = effect or CATALOGUE[variant.family]
     channels = tuple(CHANNELS[c] for c in variant.channels)
@@ -356,7 +356,7 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
 def beside(
     candidates: Candidates, naming: Naming, sized: Posterior, channels: Mapping[int, Floats] | None = None
 ) -> tuple[tuple[AppliedEffect, ...], ...]:
-    """Return, for each find, effects of other shapes or in other channels that may be a part of it.
+    """Return, for each effect found, effects of other shapes or in other channels that may be a part of it.
 
     Their values are zero. Their prior u, SI, follow from the amplitudes in `sized`; `channels` has the result of
     `channels_of`.
@@ -368,7 +368,7 @@ def beside(
 
 
 def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Floats]:
-    """Return, for the index of each find with a name, the probabilities (3,) that it acts in x, y and z."""
+    """Return, for the index of each named effect, the probabilities (3,) that it acts in x, y and z."""
     plausible = {}
     for number, one in enumerate(naming.found):
         if not one.variant.named:
@@ -464,9 +464,9 @@ def left_open(
     fitted: Posterior,
     noise: NoiseSize,
 ) -> tuple[AppliedEffect, ...]:
-    """Return the parts (`InPart`) of the finds that the readings leave uncertain, for a model file.
+    """Return the parts (`InPart`) of the effects found that the readings leave uncertain, for a model file.
 
-    `others` are the possible parts of each find (`beside`). In `fitted`, they follow the random columns of
+    `others` are the possible parts of each effect (`beside`). In `fitted`, they follow the random columns of
     `linear`.
     """
     start = linear.fixed.shape[1] + linear.random.shape[1]
@@ -507,8 +507,8 @@ def starting_states(
 ) -> tuple[AppliedEffect, ...]:
     """Return the starting state of each mounting and channel as a part (`InPart`) of the effect found.
 
-    The prior u follows from the amplitude in `sized`. The value is zero unless the starting states repeat. The
-    parts are numbered after the parts `begun`.
+    The prior u follows from the amplitude in `sized`. The value is zero unless equal approaches of the head
+    give equal states (`Effect.start_repeats`). The parts are numbered after the parts `begun`.
     """
     states: list[AppliedEffect] = []
     for found, mine in naming.sizes():
@@ -541,7 +541,7 @@ def starting_states(
 
 
 def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
-    """Return the coefficients (own, others) of a regression of the amplitudes found on the other sizes."""
+    """Return the coefficients (own, others) of a regression of the amplitudes found on the open ones."""
     of_others = covariance[np.ix_(places, places)]
     return np.asarray(np.linalg.lstsq(of_others, covariance[np.ix_(places, own)], rcond=NEGLIGIBLE)[0].T)
 
@@ -549,7 +549,7 @@ def _follows(covariance: Floats, own: Floats, places: Floats) -> Floats:
 def _directions(covariance: Floats, shown: Floats) -> Floats:
     """Return a square root (m, k) of a covariance, by decreasing change of the readings.
 
-    `shown` (N, m) is the change by each size, in units of noise; negligible columns are left out.
+    `shown` (N, m) is the change by each amplitude, in units of noise; negligible columns are left out.
     """
     values, vectors = np.linalg.eigh(covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
@@ -558,7 +558,7 @@ def _directions(covariance: Floats, shown: Floats) -> Floats:
 
 
 def _applied(rest: Sequence[OpenSize], sizes: Floats) -> Iterator[AppliedEffect]:
-    """Yield the effects of other shapes with these sizes, each a multiple of its prior standard deviation."""
+    """Yield the effects of other shapes with amplitudes `sizes`, each a multiple of its prior u."""
     by_effect: dict[int, tuple[AppliedEffect, dict[str, Floats]]] = {}
     for piece, size in zip(rest, sizes, strict=True):
         _, values = by_effect.setdefault(id(piece.applied), (piece.applied, {}))

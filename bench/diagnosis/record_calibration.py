@@ -1,8 +1,8 @@
 """The calibration of each channel of a record at a known input: gain, offset and drift, with u.
 
 The model is U = gain × reference + offset + drift × t. The noise is white plus slow noise, as in the
-diagnosis of records. Estimates are averaged over the kinds and sizes of noise, weighted by their restricted
-likelihood, so that u includes what slow noise may hide.
+diagnosis of records. Estimates are averaged over the kinds and variances of noise, weighted by their
+restricted likelihood, so that u includes what slow noise may hide.
 """
 
 from __future__ import annotations
@@ -75,9 +75,9 @@ class ChannelCalibration:
 class RecordCalibration:
     """The calibration of all c channels of a record of n means; `level_v` is the mean of the reference, V.
 
-    `known_v` (n, c) are the voltages of the given effects, V, which are already subtracted. `not_observable` says
-    what the record does not determine. `repeats` compares calibrations of parts of the record, None if it is too
-    short.
+    `known_v` (n, c) are the voltages of the given effects, V, which are already subtracted. `not_observable`
+    says what the record does not determine. `repeats` compares calibrations of parts of the record, None if
+    these cannot be calibrated.
     """
 
     record: Record
@@ -142,7 +142,7 @@ def calibrate_record(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """An effect to estimate again: voltages (n, c) with its values, its `start_of`, and its forms (None: known)."""
+    """An effect to estimate again: voltages (n, c), V, starting state (`start_of`), forms (None: known)."""
 
     added_v: Floats
     start: Floats
@@ -236,9 +236,10 @@ def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tup
 def _channel(
     record: Record, channel: str, level: float, mean: Floats, spread: Floats, noise: Noise, left: Floats
 ) -> ChannelCalibration:
-    """Return gain, offset and drift of a `channel` from deviation, slope and gain - 1 in `mean` (p, 1 + e).
+    """Return gain, offset and drift of a `channel` from the estimates `mean` (p, 1 + e) of the trend.
 
-    The first column of `mean` is the estimate, of covariance `spread`; others are changes by one u of an error.
+    The rows are deviation, slope and, for several levels, gain - 1. The first column has the estimates, of
+    covariance `spread`; the others are their changes by one u of an error.
     """
     several = len(mean) > 2
     has_gain = several or (abs(level) >= ZERO_V and not record.ramp)

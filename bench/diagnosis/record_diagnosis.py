@@ -38,7 +38,7 @@ GAIN_IN_DRIFT: Final = (
 
 @dataclass(frozen=True)
 class Rival:
-    """A kind of response `what`, judged on held-out excursions.
+    """A kind of thermal response (`what`: "at once", "lag" or "hysteresis"), judged on held-out excursions.
 
     `held_out_rms_v` (V) and `chi2` are the root mean square and the chi-square of measured minus predicted.
     """
@@ -52,10 +52,10 @@ class Rival:
 class RecordDiagnosis(Findings):
     """The result of the diagnosis of a record at a known input.
 
-    `where` has the residuals of channels without the finds, `fits` the estimates with them. `gap` is measured on
-    excursions held out in turn; `rivals` compares kinds of response there. `far` has a sentence for each mean far
-    from the model. `noises` has the noise of each component: the mean of all channels, then differences between
-    channels (`RecordWork.helmert`). `hidden` are effects that the record cannot show.
+    `where` has the residuals of channels without the effects found, `fits` the estimates with them. `gap` is
+    measured on excursions held out in turn; `rivals` compares kinds of response there. `far` has a sentence
+    for each mean far from the model. `noises` has the noise of each component: the mean of all channels, then
+    differences between channels (`RecordWork.helmert`). `hidden` are effects that the record cannot show.
     """
 
     source: str
@@ -118,7 +118,7 @@ def diagnose_record(readings: Readings, effects: Sequence[AppliedEffect] = ()) -
 
 
 def _places(work: RecordWork) -> Iterator[ResidualPattern]:
-    """Yield the residuals of each channel without effects to find, with their p-value if the noise is white."""
+    """Yield the residuals of each channel about its trend, with their p-value if the noise is white."""
     for channel, left in zip(work.record.channels, work.beside_trend.T, strict=True):
         white = np.mean(np.diff(left) ** 2) / 2.0
         p = float(special.chdtrc(work.freedom, float(left @ left) / white)) if white else 0.0
@@ -143,7 +143,7 @@ def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) 
 
 
 def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
-    """Return an unnamed effect to report in place of a find that held-out readings do not confirm."""
+    """Return an unnamed effect to report in place of one that held-out readings do not confirm."""
     words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
     return NamedEffect.unnamed(SLOW_IN_TIME, limit.p(find.total), words, find.odds)
 
@@ -158,7 +158,7 @@ In an excursion, the quantity differs from its rest level by more than this.
 
 
 def measure_record_gap(work: RecordWork, finds: Sequence[FoundEffect]) -> tuple[Gap, tuple[Rival, ...]]:
-    """Return how well the other means predict each excursion with `finds`, and the comparison of responses."""
+    """Return the gap on held-out excursions with the effects `finds`, and the comparison of responses."""
     noises = work.noises([one.variant for one in finds])
     folds: list[Fold] = []
     for number, course in enumerate(one.variant for one in finds):
@@ -188,7 +188,7 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
 
 
 def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]:
-    """Yield label and mask of means to hold out in turn: excursions of what the `course` follows.
+    """Yield label and mask of means to hold out in turn: excursions of the quantity that `course` follows.
 
     For a course in time they are two halves, of alternate blocks of means.
     """
@@ -261,7 +261,7 @@ def _predicted(
 
 
 def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noise]) -> Iterator[Rival]:
-    """Yield how kinds of response predict excursions, for the first find that follows the meter's temperature."""
+    """Yield how kinds of response predict excursions, for the first effect of the meter's temperature."""
     thermal = next((one for one in finds if FOLLOWS[one.variant.family] == "meter"), None)
     masks = [] if thermal is None else list(_excursions(work, thermal.variant))
     if thermal is None or len(masks) < 2:

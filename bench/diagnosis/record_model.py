@@ -128,7 +128,7 @@ class Record:
 
 
 def make_record(readings: Readings) -> Record:
-    """Return readings at a known input as means over equal intervals of time, after the last early jump.
+    """Return readings at a known input as means over equal intervals, after the last jump of the first tenth.
 
     Raises `CalibrationError` if the readings cannot be evaluated.
     """
@@ -205,7 +205,7 @@ def without_noise(record: Record) -> Iterator[str]:
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
-    """Return the indices of the readings at `time_s` (m,), s, in each mean: at most `BINS` equal intervals."""
+    """Return the indices of each mean's readings; `time_s` (m,), s, has at most `BINS` equal intervals."""
     edges = np.linspace(time_s[0], time_s[-1], min(BINS, len(time_s)) + 1)
     of_row = np.clip(np.searchsorted(edges, time_s, side="right") - 1, 0, len(edges) - 2)
     return [np.flatnonzero(of_row == number) for number in np.unique(of_row)]
@@ -274,7 +274,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative size (n,) of the noise from the `spread` (n, c) of the readings in each mean.
+    """Return the relative noise (n,) of the means, from the `spread` (n, c) of the readings in each.
 
     It is uniform if the largest is less than `LARGER` times the smallest; else it is limited to a factor of
     `LARGER` squared about the median. It is smoothed over a seventh of a full record.
@@ -318,7 +318,7 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return shapes to try: one parameter on its grid and, if it has a unit, `BEYOND`; the others at default."""
+    """Return the shapes to search: one parameter on its grid (or beyond, with a unit), others at default."""
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
@@ -332,7 +332,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
 def forms_of(record: Record, effect: Effect, shape: Shape) -> list[tuple[Effect, Shape]]:
     """Return the shapes that an effect of a model may have in a record.
 
-    It is only the given shape for a supply, for a formula, and if several shape parameters are not 0.
+    A supply, a formula, and an effect with several shape parameters that are not 0 keep the given `shape`.
     """
     known = any(p.is_shape and p.unit == "1" for p in effect.parameters)
     if known or effect.name not in FOLLOWS or len(shape) > 1:
@@ -366,14 +366,14 @@ def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def fading_record(record: Record, lag_s: float) -> Record:
-    """Return the record with a temperature that begins 1 sigma off and decays with the time constant `lag_s`."""
+    """Return the record with its temperature decaying from one standard deviation, time constant `lag_s`."""
     left = np.exp(-record.time_h * HOUR / lag_s) if lag_s else np.zeros(len(record))
     meter_c = METER_REFERENCE_C + np.std(record.conditions.meter_warmth_k) * left
     return replace(record, conditions=replace(record.conditions, meter_c=meter_c))
 
 
 def courses_of(record: Record, forms: Iterable[tuple[Effect, Shape]]) -> Candidates:
-    """Return effects in shapes as candidates with the columns of `column_of`.
+    """Return effects, each in a given shape, as candidates with the columns of `column_of`.
 
     An effect with an amplitude for each channel has the same column for each. A form that the trend can describe is
     left out.

@@ -161,11 +161,11 @@ class Products:
 
     @property
     def sizes(self) -> tuple[Floats, Floats, Floats]:
-        """ln of the restricted likelihood with each column in the first target, its amplitude and variance, (h,).
+        """ln of restricted likelihood, amplitude, and variance (h,) of each column in the first target.
 
-        They are averages over the trial noises of one kind. Of the kinds that the record does not exclude, it is
-        the one with the largest u, which covers the others. The prior u of a starting state is the amplitude of its
-        column, as estimated with a free starting state.
+        They are averages over the trial noises of one kind of slow noise. Of the kinds that the record does
+        not exclude, it is the kind with the largest u, which covers the others. The prior u of a starting
+        state is the amplitude of its column, as estimated with a free starting state.
         """
         freedom, each = self.freedom - 1, []
         for number in range(len(self.noises)):
@@ -191,8 +191,7 @@ class Products:
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Return `square`, `product`, `left` (h, d) with starting states fitted, and ln of their cost.
 
-        `ridge` (h, d) is the white variance over the prior variance of the state of each column; None: free
-        states.
+        `ridge` (h, d) is the white variance over the prior variance of the state of each column; None: free.
         """
         b, product = self.begun, self.product[number].copy()
         square, left = np.empty_like(product), np.empty_like(product)
@@ -220,7 +219,7 @@ class Products:
     def gain(self) -> Floats:
         """ln of the Bayes factor (h, d) of adding each column, for each target, averaged over trial noises.
 
-        The prior of amplitudes and of starting states is an average of normal distributions of the `SIZES`.
+        The priors of amplitudes and starting states are mixtures of normal ones, of deviations `SIZES`.
         """
         total = np.full(self.product.shape[1:], -np.inf)
         for number, log_det in enumerate(self.log_det):
@@ -236,7 +235,7 @@ class Products:
 
 
 def _mean(log: Floats, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
-    """Return the mean of sizes over the first axis, weighted by the likelihoods exp(`log`), and its variance."""
+    """Return the mean of amplitudes over the first axis, with likelihoods exp(`log`), and its variance."""
     weight = special.softmax(log, axis=0)
     mean = np.sum(weight * size, axis=0)
     return mean, np.asarray(np.sum(weight * (variance + (size - mean) ** 2), axis=0))

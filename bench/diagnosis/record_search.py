@@ -1,4 +1,7 @@
-"""The search of a record at a known input: courses scored by their evidence, and estimates of those found."""
+"""The search of a record at a known input: effects are scored by their evidence, and estimated.
+
+A course is the change of the signals with time that an effect in one shape causes.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,10 @@ FAINT: Final = 9.0
 
 @dataclass(frozen=True)
 class ChannelFit:
-    """Zero (V) and drift (V/h) of a channel with u, estimated together with the finds.
+    """Zero (V) and drift (V/h) of a channel with u, estimated together with the effects found.
 
     For a reference of several levels, the zero is that at 0 V. `before_v` and `residual_v` (n,), V, are
-    residuals without and with the finds.
+    residuals without and with these effects.
     """
 
     channel: str
@@ -47,7 +50,7 @@ class ChannelFit:
 
 @dataclass(frozen=True)
 class Forms:
-    """The h forms that a course may have in a record, with ln of the likelihood of each, `log` (h,).
+    """The h forms (shapes) that a course may have in a record, with ln of their likelihoods, `log` (h,).
 
     `columns` (n, h) are results of `column_of`, `starts` (n, h) of `start_of`. `size` and `variance` (parts, h) are
     estimates of the amplitude in each component. If the course has a shape `parameter` with a unit, the first forms
@@ -107,7 +110,7 @@ class RecordWork:
         return [variant for variant in self.candidates.variants if variant.family == family]
 
     def nearest(self, family: str, shape: Shape) -> Variant | None:
-        """Return the candidate of the effect `family` with the nearest shape; None if none has its parameters."""
+        """Return the candidate of the effect `family` of nearest shape; None if none has these parameters."""
         names = [name for name, _ in shape]
         alike = [one for one in self.shapes_of(family) if [name for name, _ in one.shape] == names]
         apart = [sum(abs(a - b) for (_, a), (_, b) in zip(one.shape, shape, strict=True)) for one in alike]
@@ -118,7 +121,7 @@ class RecordWork:
         return self.candidates.kinds[variant.columns[0]].channel is not None
 
     def without(self, effects: Sequence[AppliedEffect]) -> RecordWork:
-        """Return the work with known effects subtracted; their starting states become columns of the trend."""
+        """Return the record with known effects subtracted; their starting states join the trend."""
         shapes = [(one.effect, shape_of(one.effect, one.complete_values())) for one in effects]
         starts = [start_of(self.record, *one) for one in dict.fromkeys(shapes)]
         trials = replace(self.trials, trend=np.column_stack([self.trials.trend, *filter(np.any, starts)]))
@@ -153,8 +156,7 @@ class RecordWork:
     def _in_part(self, courses: Sequence[Variant], part: int) -> tuple[Floats, Floats]:
         """Return columns and starting states, each (n, m), of courses in the component `part`.
 
-        A course of one size for all channels is in the mean only, so that m may be less than the number of
-        courses.
+        A course with one amplitude for all channels is in the mean only, so that m may be below their number.
         """
         mine = [course for course in courses if part == 0 or self.of_channels(course)]
         for one in mine:
@@ -186,8 +188,7 @@ class RecordWork:
     def log_odds(self, found: Sequence[Variant], targets: Sequence[Floats]) -> tuple[Floats, Floats]:
         """Return ln of the Bayes factor (h, d) of each variant, and ln of the posterior odds of each family.
 
-        The variants `found` are in the model already. `targets` has, for each component, d data sets as columns (n,
-        d).
+        The variants `found` are in the model already. `targets` has d data sets (n, d) for each component.
         """
         every = self.candidates.variants
         own = np.array([self.of_channels(one) for one in every])
@@ -203,8 +204,8 @@ class RecordWork:
     def search(self) -> tuple[list[FoundEffect], Threshold]:
         """Return the effects found, strongest first, and the threshold, simulated from the noise of this record.
 
-        A find gets its likeliest shape, because what another shape leaves could be taken for another effect. Fewer
-        data sets are simulated than for runs, because each is scored with every kind of slow noise.
+        An effect takes its likeliest shape: residuals of another shape could be taken for another effect.
+        Fewer data sets are simulated than for runs, because each is scored with every kind of slow noise.
         """
         rng = np.random.default_rng(SEED)
         nulls = [noise.drawn(rng, NULLS // len(self.trials.slow)) for noise in self.noises([])]
@@ -256,7 +257,7 @@ class RecordWork:
         return self.helmert.T @ mean, self.helmert.T @ covariance @ self.helmert
 
     def shaped(self, courses: Sequence[Variant], number: int) -> tuple[Variant, float | None, Floats, Floats]:
-        """Return the course `number` in its mean shape, u of this shape (SI), its amplitude, and u of that."""
+        """Return a course in its mean shape, u of this shape (SI or None), its amplitudes, and their u."""
         forms, course = self.forms(courses, number), courses[number]
         size, covariance = self.sizes(courses, number, forms)
         if forms.parameter is None:
@@ -267,7 +268,7 @@ class RecordWork:
         return course._replace(shape=((forms.parameter, value),)), u, size, u_of(covariance)
 
     def forms(self, courses: Sequence[Variant], number: int) -> Forms:
-        """Return the forms of the course `number` with their likelihoods; the others keep their shapes."""
+        """Return the forms of the course `number` with their likelihoods; other courses keep their shapes."""
         course, parameter = courses[number], _parameter(courses[number])
         family = self.shapes_of(course.family)
         if parameter is None:
@@ -284,7 +285,7 @@ class RecordWork:
         return Forms(*self._in_part(every, 0), log, size, variance, parameter, values, of_values)
 
     def close_shapes(self, courses: Sequence[Variant], number: int) -> list[Variant]:
-        """Return the course `number` in its likely shapes, the best first; a jump or a fixed shape alone."""
+        """Return the course `number` in its likely shapes, best first; a jump or a fixed shape as it is."""
         course = courses[number]
         if course.family == MOVE or _parameter(course) is None:
             return [course]
@@ -346,7 +347,7 @@ class RecordWork:
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def _by_other_shapes(self, courses: Sequence[Variant], number: int, noises: Sequence[Noise]) -> Floats:
-        """Return the variance, by channel or in common, that the shapes of other courses add to a size."""
+        """Return the variance, by channel or in common, that shapes of other courses add to an amplitude."""
         course = courses[number]
         own, first = self.of_channels(course), self.trials.trend.shape[1]
         variance = np.zeros(len(self.parts) if own else 1)

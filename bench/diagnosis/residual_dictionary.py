@@ -1,4 +1,4 @@
-"""The terms of the residual model: functions of angle, turns, time, temperature and pass."""
+"""The terms of the residual dictionary: functions (courses) of angle, turns, time, temperature and pass."""
 
 from __future__ import annotations
 
@@ -60,11 +60,11 @@ GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 class TimeCourse:
     """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
-    Each of the formulas `expressions` has its own amplitude; `constants` are parameters with a single value. With
-    `of_temperature`, the course is in kelvin; with `of_angle`, it depends on the head angle. With `long`, scale
-    factor, voltage and, if it has a `where`, a meter's gain follow it too. A `narrow` course is a step, a fast
-    wave, at one angle, or of the angle in one mounting; stand angles do not follow it. `where` says in words
-    where it acts.
+    Each of the formulas `expressions` has its own amplitude; `constants` are parameters with a single value.
+    With `of_temperature`, the course is in kelvin; with `of_angle`, it depends on the head angle. Only a
+    `long` course may act on scale factor and voltage and, if it has a `where`, on a meter's gain. A `narrow`
+    course does not act on stand angles: a step, a fast wave, one angle, or a wave in one mounting. `where`
+    says in words where it acts.
     """
 
     words: str
@@ -151,7 +151,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
 
 
 class SizeColumns(NamedTuple):
-    """Changes of the rows by a plausible size, by channel and in all; `shown` (3,): channels where it is not 0."""
+    """Changes of the rows by one plausible size, by channel and together; `shown`: channels that change."""
 
     of_channels: Floats
     of_all: Floats
@@ -186,12 +186,12 @@ def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list
 
 
 def _each_size(changes: Floats) -> Iterator[SizeColumns]:
-    """Yield the columns of each of k sizes; `changes` (k, channels, N)."""
+    """Yield the columns of each of k amplitudes; `changes` are (k, channels, N)."""
     yield from map(SizeColumns, changes, changes.sum(axis=1), np.asarray(changes.any(axis=2)))
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
-    """Yield, for each size of a term of force or voltage, the change of the rows by a plausible size, (3, N)."""
+    """Yield the changes (3, N) of the rows by each plausible amplitude of a term of force or voltage."""
     effect = term.effect("term", per_channel=True)
     for size in SIZE_NAMES[: len(term.expressions)]:
         applied = AppliedEffect(effect, {size: np.full(3, term.unit.plausible)})

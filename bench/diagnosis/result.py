@@ -36,7 +36,7 @@ from bench.model.effects.formula import FormulaEffect, names_in
 class Registration:
     """The settings of a diagnosis that are fixed before the readings are scored, with their hash.
 
-    `sha256` is a hash of all settings, of the catalogue, and of the weights of prior sizes. The sets of readings
+    `sha256` is a hash of all settings, of the catalogue, and of the weights of `sizes`. The sets of readings
     `held_out_else` are held out if the sets `held_out` cannot be. `pair_margin` is always None.
     """
 
@@ -133,12 +133,12 @@ class EffectValue:
 class NamedEffect:
     """An effect that was found, with its estimated parameters.
 
-    `cannot_tell_from` are its ties; `odds` are the posterior probabilities of all names; `plainer_than` are effects
-    of the same subsystem that include it. `rho` is `Posterior.significance` of the parameters, None if not
-    estimated. `p` is the p-value of this effect alone; `p_all_looks` is corrected for all effects searched.
-    `applied` has an entry for each set of mountings, none outside the catalogue. `together` are sums or differences
-    that are known far better than the values. `aliases` are other periods per turn that these angles do not
-    distinguish.
+    `cannot_tell_from` are names that the readings do not exclude; `odds` are the posterior probabilities of
+    all names; `plainer_than` are effects of the same subsystem that include it. `rho` is
+    `Posterior.significance` of the parameters, None if not estimated. `p` is the p-value of this effect
+    alone; `p_all_looks` is corrected for all effects searched. `applied` has an entry for each set of
+    mountings, none outside the catalogue. `together` are sums or differences that are known far better than
+    the values. `aliases` are other periods per turn that these angles do not distinguish.
     """
 
     name: str
@@ -184,8 +184,8 @@ class NamedEffect:
 class Findings:
     """The findings that every diagnosis has, of oriented readings, of free positions, or of a record.
 
-    `of_copy` is the verdict on the copy in which mistakes are corrected; `where` are patterns of residuals; `gap`
-    is the gap on held-out readings.
+    `of_copy` is the verdict on the copy in which mistakes are corrected; `where` are patterns of residuals;
+    `gap` says how well held-out readings are predicted.
     """
 
     of_copy: Verdict
@@ -214,16 +214,17 @@ class Findings:
 class Diagnosis(Findings):
     """The complete result of the diagnosis of one set of readings.
 
-    `far` are readings far from the model. `p_left` is the p-value of the noise about the model with all finds
-    against that of repeats (lack of fit). `hidden` maps effects to the parts that these readings could not show
-    (empty: all). `absent` maps effects to the reason why this bench cannot have them. `unseen_per_turn` are periods
-    per turn of head errors that do not change the readings. `detectable` is the amplitude at which half of all runs
-    find each effect, in plausible sizes; `smallest` is the joint amplitude of several parameters.
+    `far` are readings far from the model. `p_left` is the p-value of the noise about the model with all
+    effects found against that of repeats (lack of fit). `hidden` maps effects to the parts that these
+    readings could not show (empty: all). `absent` maps effects to the reason why this bench cannot have them.
+    `unseen_per_turn` are periods per turn of head errors that do not change the readings. `detectable` is the
+    amplitude, in plausible sizes, at which half of all runs find each effect; `smallest` is the joint
+    amplitude of several parameters.
 
-    `in_part` are possible parts of the finds with other shapes, which the u of the coefficients includes;
-    `left_open` are the parts for a model file. `findings` state where noise is larger than stated; `noise_kinds`,
-    where it departs from normal noise of one standard deviation. `form` describes finds without a name. Plots and
-    reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
+    `in_part` are parts that the effects may have in other shapes; the u of the coefficients includes them.
+    `left_open` are the parts for a model file. `findings` state where noise is larger than stated;
+    `noise_kinds`, where it departs from normal noise of one standard deviation. `form` describes unnamed
+    effects. Plots and reports use `whitened`, `data`, `linear`, `candidates`, `naming`, `fitted` and `noise`.
     """
 
     far: tuple[FarReading, ...]
@@ -315,8 +316,8 @@ UNNAMED_FORM: Final = "unnamed_form"
 class UnexplainedScatter:
     """The standard deviation of the scatter about the model beyond that of repeats, unit of the signal.
 
-    `value` has the uncertainty `u`, the 95 % limit `upper`, and the p-value `p` of no such scatter. If all readings
-    are repeats, `u` and `upper` are infinite.
+    `value` has the uncertainty `u` and the 95 % limit `upper`; `p` is the p-value of the hypothesis that it
+    is 0. If all readings are repeats, `u` and `upper` are infinite.
     """
 
     value: float
@@ -394,7 +395,7 @@ class FreeForm:
 
     @property
     def applied(self) -> tuple[AppliedEffect, ...]:
-        """The terms to add to the model; empty if they do not predict, or if a name explains the same."""
+        """The terms to add to the model; empty if they do not predict, or named effects explain as much."""
         return tuple(term.applied for term in self.terms) if self.predicts and not self.instead_of else ()
 
 
@@ -407,9 +408,9 @@ def describe(
     repeats: Repeats,
     instead_of: tuple[str, ...] = (),
 ) -> FreeForm:
-    """Return the description of what the catalogue does not explain, from the terms among the finds.
+    """Return the description of what the catalogue does not explain, from the terms that were found.
 
-    `noise` and `gap` are those of the model with all finds; `repeats` is the noise of repeats.
+    `noise` and `gap` are those of the model with all effects found; `repeats` is the noise of repeats.
     """
     columns = candidates.columns[:, list(naming.columns)]
     scatter = larger_scatter(linear, residuals(linear, columns, noise))

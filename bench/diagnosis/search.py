@@ -52,9 +52,9 @@ class Prepared:
     """Readings prepared for the search: their linear system, noise of repeats, candidates and threshold.
 
     `data` are the products of the residuals with the candidates, `limit` is the threshold of the evidence.
-    `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the finds, is
-    already subtracted from the response. `log_odds` is ln of the prior odds of the chosen noise hypotheses, minus
-    the cost of their parameters; `chosen` maps their kinds to words.
+    `setting_rad` is the setting error that the bench file states. `bend` (N,), the nonlinear part of the
+    effects found, is already subtracted from the response. `log_odds` is ln of the prior odds of the chosen
+    noise hypotheses, minus the cost of their parameters; `chosen` maps their kinds to words.
     """
 
     linear: LinearSystem
@@ -73,10 +73,10 @@ class Prepared:
         return self.whitened.candidates
 
     def log_evidence(self, naming: Naming) -> float:
-        """Return ln of the evidence of this noise with the finds of `naming`, up to a constant.
+        """Return ln of the evidence of this noise with the effects of `naming`, up to a constant.
 
-        The evidence of each find is averaged over all families, so that the choice of noise does not depend on
-        names.
+        The evidence of each effect is averaged over all families, so that the choice of noise does not depend
+        on names.
         """
         total = Search.beside(self.whitened, ()).log_evidence(self.data) + log_null(self.whitened.grid)
         known: list[int] = []
@@ -91,7 +91,7 @@ Reconsider = Callable[[Prepared, LinearSystem, float], tuple[Prepared, Naming]]
 
 
 def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple[Prepared, Naming]:
-    """Return the readings under the noise hypothesis with the largest evidence, and the finds under it.
+    """Return the readings under the noise hypothesis with the largest evidence, and the effects found.
 
     `again` repeats the search under another noise hypothesis. The arguments are returned if no hypothesis is
     better. They are also returned if repeats share a rounding error, because repeats then do not show the noise.
@@ -134,10 +134,10 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:
-    """Return `linear` with the noise of `prepared`, a system of the same readings in another model.
+    """Return `linear` with the noise of `prepared`, a system of the same readings with another model.
 
-    With several blocks, the rows of the two systems are in another order. Then `linear` gets only the noise by
-    channel and by run.
+    With several blocks, the two systems have their rows in different orders. Then `linear` gets only the
+    noise by channel and by run.
     """
     linear = replace(linear, by_channel=prepared.by_channel, by_run=prepared.by_run)
     if prepared.readings.block is not None:
@@ -192,13 +192,13 @@ class SearchTask:
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid for a first noise estimate `sigma`, final if repeats share a rounding error."""
+        """Return the noise grid for a noise estimate `sigma`, fixed if repeats share a rounding error."""
         return replace(
             make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
         )
 
     def smaller_noise(self, grid: NoiseGrid, noise: NoiseSize) -> float | None:
-        """Return the noise about the model with the finds, if it is smaller than that of `grid`; otherwise None.
+        """Return the noise about the model with the effects, if smaller than that of `grid`; otherwise None.
 
         An effect that changes between repeats makes the first estimate of the noise too large, and therefore the
         prior u of the stand angles too small in units of the noise. With a coarse last digit, the first estimate
@@ -250,9 +250,9 @@ def _prepared(
 
 
 def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Naming:
-    """Return the finds that remain if the largest may have parts of other shapes.
+    """Return the effects that remain if the largest may have parts of other shapes.
 
-    A true shape between two of the catalogue's grid leaves residuals that other effects would explain.
+    A true shape between two shapes of the grid leaves residuals that other effects would explain.
     """
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
@@ -274,7 +274,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
 
 
 def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return readings and finds after linearising and searching again until the system is accurate."""
+    """Return readings and effects after linearising and searching again until the system is accurate."""
     most = 1
     naming = name(prepared.whitened, prepared.data, prepared.limit, most)
     for _ in range(STEPS):
@@ -289,7 +289,7 @@ def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, N
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised and whitened again about the finds; None if the present ones suffice."""
+    """Return the readings linearised and whitened again about the effects; None if that is not needed."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)
@@ -326,7 +326,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
 def _with_smaller_noise(
     task: SearchTask, prepared: Prepared, naming: Naming, noise: NoiseSize, fitted: Posterior
 ) -> Prepared | None:
-    """Return the readings whitened with the noise about the finds, if that is smaller; None otherwise."""
+    """Return the readings whitened with the noise about the effects, if that is smaller; None otherwise."""
     linear, candidates = prepared.linear, prepared.candidates
     sigma = task.smaller_noise(prepared.whitened.grid, noise)
     if sigma is None:
@@ -361,7 +361,7 @@ class _Run:
 
 
 def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Naming]:
-    """Return the readings with single-run finds among the candidates, and all finds.
+    """Return the readings with the effects of single runs among the candidates, and all effects found.
 
     Effects of a few single runs, which could pass for common ones, are searched first, then common effects,
     then further ones of single runs.
@@ -404,7 +404,7 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether a single-run find is likely given all others, or `naming` no longer has its form."""
+    """Return whether the effect of a single run is likely beside all others, or `naming` lost its form."""
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]
@@ -413,7 +413,7 @@ def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> 
 
 
 def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming) -> Floats:
-    """Return the fitted signal of all finds in the rows of all runs, shape (N,)."""
+    """Return the fitted signal of all effects found in the rows of all runs, shape (N,)."""
     columns = whitened.candidates.columns[:, list(naming.columns)]
     fitted = posterior(linear, columns, noise_size(whitened, data, naming.columns))
     return columns @ fitted.amplitudes
@@ -422,10 +422,10 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the single-run finds added, and these finds, beside `in_all` (N,).
+    """Return the candidates with the effects of single runs added, and these effects, beside `in_all` (N,).
 
-    The threshold of the first run serves for all. As coefficients are free in every run, a different zero is no
-    find.
+    The threshold of the first run serves for all. As coefficients are free in every run, a different zero is
+    no effect.
     """
     found: list[FoundEffect] = []
     for run in runs:
@@ -453,7 +453,7 @@ def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterat
 
 
 def _embedded(candidates: Candidates, one: FoundEffect, run: _Run) -> tuple[Candidates, FoundEffect]:
-    """Return the candidates, with a single-run find added, and the find; its columns are 0 in other runs."""
+    """Return the candidates with an effect of one run added, and this effect; its columns are 0 elsewhere."""
     own = run.candidates
     labels = tuple(str(mount) for mount in run.linear.readings.conditions().mounts)
     chosen = list(one.variant.columns)

@@ -41,10 +41,10 @@ class ModulusPoint:
 class Simulation:
     """A model fitted to readings, and the bench simulated with it at the same settings.
 
-    `calibration` has the estimates; `effects` are those of the model, with values and u estimated here. `test`
-    compares the readings with a simulation without noise. `points` are the errors at verification points. They are
-    independent of the fit unless it includes these points (`joined`), because an effect shows only there. `repeat`
-    computes `repeated`.
+    `calibration` has the estimates; `effects` are those of the model, with values and u estimated here.
+    `test` compares the readings with a simulation without noise. `points` are the errors at verification
+    points. The fit includes these points (`joined`) only if an effect shows nowhere else; otherwise they are
+    independent of it. `repeat` computes `repeated`.
     """
 
     model: ForwardModel
@@ -75,7 +75,7 @@ class Simulation:
 class CoefficientChange:
     """A coefficient and its u, `before` with the given model and `after` with the effects found.
 
-    `u_after` includes the change of the coefficient if a tie is present in place of an effect.
+    `u_after` includes the change if other effects, which explain the readings as well, are present instead.
     """
 
     before: float

@@ -28,8 +28,8 @@ from bench.readings.table import VERIFICATION
 def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, float]:
     """Return, for each effect, the amplitude at which half of all runs find it, in plausible sizes.
 
-    It is that of the form that shows best, and infinite if no amplitude is ever found. `ratio` is the index of the
-    noise ratio.
+    The form that shows best counts; the amplitude is infinite if no run would find it. `ratio` is the index
+    of the noise ratio.
     """
     variants = whitened.candidates.variants
     square = dict.fromkeys(CATALOGUE, 0.0)
@@ -68,8 +68,8 @@ class Smallest:
 def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, tuple[Smallest, ...]]:
     """Return, for effects with several amplitudes, the joint amplitude that half of all runs find, by unit.
 
-    The amplitudes of one unit are joined; a unit may have only one. It is for the best channel, mounting and
-    shape, and the worst proportions (such as the phase of a wave). The arguments are those of `detectable`.
+    Amplitudes of one unit (there may be only one) are joined. The best channel, mounting and shape count, and
+    the worst proportions of the amplitudes (the phase of a wave). The arguments are those of `detectable`.
     """
     half = half_power(whitened, threshold.value)
     candidates = whitened.candidates
@@ -142,8 +142,7 @@ def hidden(
 class EffectPart(NamedTuple):
     """One parameter of an effect at its plausible size, in a channel and in mountings.
 
-    `channel` None is all channels, empty `mounts` are all mountings; `shape` has names and SI values of the shape
-    parameters.
+    `channel` None is all channels, empty `mounts` are all mountings; `shape` has names and SI values.
     """
 
     family: str
@@ -158,7 +157,7 @@ Form = tuple[EffectPart, ...]
 
 
 def form_of(candidates: Candidates, variant: Variant) -> Form:
-    """Return a variant as a form, which does not depend on these readings and can be tested in others."""
+    """Return a variant as a form, without columns of these readings, to compare it in other readings."""
     kinds = [candidates.kinds[place] for place in variant.sizes]
     return tuple(EffectPart(variant.family, k.parameter, variant.shape, k.mounts, k.channel) for k in kinds)
 
@@ -200,7 +199,7 @@ class ReadingDesign:
         """Add an error of unknown amplitude for each of `families` in each mounting that is not in `before`.
 
         The prior u of the amplitude is the plausible size. Effects that do not differ between mountings are
-        ignored. Call it before `seen`.
+        ignored. Call this method before `seen`.
         """
         labels = [str(m) for m in self.linear.moved.mounts if m.installation != VERIFICATION]
         effects = [CATALOGUE[family] for family in families]
@@ -256,7 +255,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of a plausible size for the best of `forms`, beside free unknowns."""
+        """Return the signal-to-noise ratio of a plausible amplitude in the one of `forms` that shows best."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
 
 
@@ -438,8 +437,7 @@ class FarReading:
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
     """Return the readings that are far from the model with the columns `effects` (N, m), farthest first.
 
-    Distances are deletion residuals: Cook and Weisberg, Residuals and Influence in Regression, 1982, section
-    2.2.
+    Distances are deletion residuals: Cook and Weisberg, Residuals and Influence in Regression, 1982, ch. 2.2.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)
@@ -474,8 +472,8 @@ _CHANNEL: Final = (*CHANNELS, "modulus")
 def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """Return the periods per turn that the angles (n,) do not distinguish from `order` periods per turn.
 
-    They go up to one period per mark. Order 0 is a constant, which the coefficients absorb. The angles are
-    rounded to 0.1 deg; those that then differ only by whole turns count as one.
+    The largest is one period per mark of the head. Order 0 is a constant, which the coefficients absorb. The
+    angles are rounded to 0.1 deg; those that then differ only by whole turns count as one.
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)

@@ -1,1 +1,1 @@
-"""Mistakes of procedure and wiring: hypotheses, compared with the readings and corrected in a copy."""
+"""Mistakes of procedure and wiring, found by comparing hypotheses, and corrected in a copy of the record."""

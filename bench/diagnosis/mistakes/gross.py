@@ -76,8 +76,8 @@ class GrossSearch:
     """A search for gross mistakes in tables of readings of one bench.
 
     `nominal` (3,) are the signed scale factors of the data sheet, unit of the signal per g, None if unknown.
-    `stand_rad` is the combined prior u of the stand angles and the setting error, rad. In g, it is the least
-    error of the specific force, unless `ERRORS_G[0]` is larger.
+    `stand_rad` is the combined prior u of the stand angles and the setting error, rad. The search assumes
+    errors of the specific force, g, no smaller than this angle or than `ERRORS_G[0]`.
     """
 
     installations: Mapping[str, Installation]
@@ -87,9 +87,10 @@ class GrossSearch:
     def find(self, readings: Readings) -> GrossMistake | None:
         """Return the most probable mistake; None unless its odds exceed the number of suppositions / `HARDLY_EVER`.
 
-        It competes with the supposition that a reading, pass or mounting is useless. If the corrected copy is still
-        far from the model, two mistakes may hide each other. Then the search is repeated without each mounting in
-        turn. The result is the mistake that, together with a second one, explains the readings best.
+        It competes with the supposition that a reading, pass or mounting is useless. If the corrected copy is
+        still far from the model, two mistakes may hide each other, and each mounting is left out in turn. A
+        mistake found then replaces the first if, together with a second one, it explains the readings clearly
+        better.
         """
         table = OrientedRows.of(readings)
         maps = suppositions(table, units=self.nominal is not None)
@@ -132,10 +133,10 @@ class GrossSearch:
     def _likeliest(
         self, table: OrientedRows, maps: Sequence[Reinterpretation], kept: Mask
     ) -> GrossMistake | None:
-        """Return the likeliest map of the rows in the mask `kept` (n,).
+        """Return the likeliest of the mistakes `maps` in the `kept` rows (n,); None if none is likely.
 
-        Rows that are more probably useless than of any map are left out, and the maps of the other rows
-        compared again.
+        Rows that are more probably useless are left out, and the mistakes in the other rows are compared
+        again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
@@ -159,7 +160,7 @@ class GrossSearch:
         return None
 
     def _best(self, table: OrientedRows, supposed: Sequence[Reinterpretation], odds: Floats) -> int:
-        """Return the index of the largest of the `odds` (ln); another unit must bring channels to the sheet."""
+        """Return the index of the largest of the `odds` (ln), except units that contradict the data sheet."""
         while True:
             best = int(np.argmax(odds))
             if not supposed[best].scales or not np.isfinite(odds[best]):
@@ -199,7 +200,7 @@ class GrossSearch:
         return GrossFit(block, float(misfit), np.sum(((found - mean) / u) ** 2, axis=0))
 
     def _may_be_wrong(self, table: OrientedRows, kept: Mask, enough: float) -> bool:
-        """Return whether ln of the odds of a map that explained all `kept` rows would exceed `enough`."""
+        """Return whether ln of the odds of a mistake that explains all `kept` rows could exceed `enough`."""
         fit = self.fit(table, kept)
         return bool(fit.misfit + np.sum(fit.sheet) > 2.0 * enough)
 
@@ -208,7 +209,7 @@ class GrossSearch:
         return max(ERRORS_G[0], self.stand_rad)
 
     def _scale(self, table: OrientedRows) -> Floats:
-        """The size (3,) of each channel's signal for 1 g."""
+        """The absolute signal (3,) of each channel for 1 g, from the data sheet or from the signals."""
         if self.nominal is not None:
             return np.abs(self.nominal)
         spread = np.ptp(np.percentile(table.signal, [5, 95], axis=0), axis=0) / 2
@@ -238,7 +239,7 @@ class GrossSearch:
     def _log_evidence(
         self, table: OrientedRows, supposed: Sequence[Reinterpretation], like: OrientedRows, kept: Mask
     ) -> Floats:
-        """Return ln of the density (H,) of the `kept` signals under each map, all unknowns integrated out.
+        """Return ln of the density (H,) of the `kept` signals under each supposition, unknowns integrated.
 
         Priors are those for the table `like`. A reading without signals has a density of 1 per g.
         """
@@ -260,7 +261,7 @@ def _off_g(block: Block, signal: Floats) -> Floats:
 
 
 def _of_moduli(off_g: Floats, errors_g: Floats) -> float:
-    """Return ln of the evidence of moduli that are `off_g` (n,), averaged over the sizes `errors_g` (k,)."""
+    """Return ln of the evidence of moduli that are `off_g` (n,), averaged over prior sigmas `errors_g`."""
     of_size = -0.5 * np.sum((off_g / errors_g[:, None]) ** 2, axis=1) - len(off_g) * np.log(errors_g)
     return float(np.logaddexp.reduce(of_size))
 
@@ -294,7 +295,7 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
     """Return the products of the `kept` rows of `columns` (n, 7), by the number m of repeats.
 
-    Those of means over m repeats of a `position` have the key m, of deviations from the means the key 0.
+    Key m has those of the means over m repeats of a `position`, key 0 those of deviations from means.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))
@@ -308,9 +309,9 @@ def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
 
 
 def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g: Floats) -> Floats:
-    """Return ln of the evidence (H,) of H maps, over sizes of the errors of readings and positions.
+    """Return ln of the evidence (H,) of H suppositions, averaged over the errors of readings and positions.
 
-    Each channel has its own sizes, or others would favour a wrong factor on a channel that hardly moves.
+    Each channel has its own errors, or others would favour a wrong factor on a channel that hardly moves.
     """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),

@@ -161,7 +161,7 @@ class Table:
 
     @property
     def turn(self) -> Ints:
-        """The number (n,) of the pass of each reading, from 0; passes of different mountings differ."""
+        """The number (n,) of the pass of each reading, from 0, counted over all mountings."""
         conditions = self.problem.conditions
         key = np.stack([conditions.mount, conditions.pass_number], axis=1)
         return np.unique(key, axis=0, return_inverse=True)[1].ravel()

@@ -148,8 +148,8 @@ class Reinterpretation:
     def correct(self, readings: Readings, table: OrientedRows) -> Readings:
         """Return a corrected copy of `readings`, of which `table` are the oriented rows.
 
-        A supposition about the whole run corrects wires and sense of the head in all rows. The sign of a reference
-        is known, and stays. Readings whose signals were not recorded are omitted.
+        A supposition about the whole run also corrects wiring and sense of rotation in the other rows. The
+        sign of a reference voltage is known, and stays. Readings whose signals were not recorded are omitted.
         """
         signal, spread, samples = readings.signal.copy(), readings.signal_sd.copy(), readings.samples.copy()
         angle, target = readings.angle_rad.copy(), readings.target_rad.copy()
@@ -190,7 +190,7 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return verification and free rows in the same wrong unit: the factor makes their modulus usual."""
+        """Return verification and free rows in the same wrong unit: the factor makes their |a| usual."""
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
         usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
@@ -310,7 +310,7 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 
 
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Yield suppositions that, pass by pass, readings are a row late or early, or the head a stop off."""
+    """Yield suppositions that, pass by pass, readings are a row late or early, or the head an angle off."""
     runs = table.mount * (table.pass_number.max() + 1) + table.pass_number
     for step, when in ((1, "late"), (-1, "early")):
         words = (
@@ -329,7 +329,7 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:
-    """Return, for each row, the index of the row `step` later in its run of rows, -1 if there is none."""
+    """Return, for each row, the index of the row `step` later in its pass (`runs`), -1 if there is none."""
     source = np.arange(len(runs))
     for run in np.unique(runs[mask]):
         places = np.flatnonzero((runs == run) & mask)

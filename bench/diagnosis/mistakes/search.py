@@ -122,7 +122,7 @@ class _Search:
     significance: float
 
     def unit(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return a wrong unit, found by comparing signals, and the copy; nothing if there is a data sheet (`map`).
+        """Return a wrong unit, found by comparing signals, and the copy; empty with a data sheet (see `map`).
 
         The p-value counts every unit prefix of every channel in every part of the table.
         """
@@ -150,7 +150,7 @@ class _Search:
         return [(_gross_mistake(gross), gross.supposition.correct(readings, table))]
 
     def terms(self, readings: Readings) -> list[tuple[Mistake, Readings]]:
-        """Return the passes and single readings that are wrong, each with a copy corrected up to it."""
+        """Return the wrong passes and readings, each with a copy that corrects it and those before it."""
         table, terms = self._of(readings)
         angle, kept = readings.angle_rad.copy(), np.ones(len(readings), dtype=bool)
         skipped, found = list(readings.skipped), []
@@ -176,9 +176,9 @@ class _Search:
         return table, TermSearch(problem, table.signal, floor, fit)
 
     def with_misfits(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes with the misfits of `copies`, the record first, before and after each.
+        """Return the mistakes with the misfits before and after each; `copies` begin with the record itself.
 
-        A mistake at the verification points changes no misfit of the oriented readings, and gets none.
+        A mistake at verification points changes no misfit of the oriented readings, and gets none.
         """
         if not found:
             return ()

@@ -84,9 +84,9 @@ class TermSearch:
     def find(self, significance: float) -> list[WrongReadings]:
         """Return the pass in which all readings are wrong, or else single wrong readings, the largest error first.
 
-        The likeliest error of a reading or change of the bench joins the model, one by one, until none has odds
-        above 1/`significance`. A change of a pass joins only if no mistake in this pass explains it. The result is
-        empty if too many readings would be wrong.
+        One by one, the likeliest error of a reading or change of the bench joins the model, until no reading
+        and no single pass has odds above 1/`significance`. A change of a pass joins only if no mistake in
+        this pass explains it. The result is empty if too many readings would be wrong.
         """
         table, n = self.table, len(self.signal)
         changes = list(table.changes())
@@ -140,7 +140,7 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio beside known columns, and ln of the probability of each ratio, `weight`."""
+    """The readings at each noise ratio, known columns projected out, and ln of its probability, `weight`."""
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats
