@@ -1,4 +1,4 @@
-"""Parts of the JSON of a diagnosis: findings, gap, noise, unnamed terms."""
+"""Parts of the JSON of a diagnosis: findings, misfit of held-out readings (gap), noise, unnamed terms."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class FormGapPart(ResultModel):
 
 
 class GapPart(FormGapPart):
-    """The reduced chi-square of readings held out of the fit; do these readings confirm the effects found?"""
+    """The reduced chi-square of readings held out of the fit, and whether they confirm the effects found."""
 
     shrinks: bool | None
     """whether the gap shrinks by the rule in `registered`, which a name requires; null if nothing was found
@@ -232,7 +232,7 @@ class NoisePart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """The estimated size of a term; `channel` is null if all channels share it."""
+    """The estimated amplitude of a term; `channel` is null if all channels share it."""
 
     parameter: str
     channel: str | None

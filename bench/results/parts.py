@@ -122,7 +122,7 @@ class ValuePart(ResultModel):
 
 
 class EstimatePart(ValuePart):
-    """An estimate of a parameter."""
+    """An estimate of a parameter, and whether the readings improved on its prior."""
 
     unit: str
     told_by_data: bool = Field(description="whether the readings reduced its prior uncertainty")

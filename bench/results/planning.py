@@ -35,7 +35,7 @@ _SHOWN: Final = {
 
 
 class LimitPart(ResultModel):
-    """The largest admissible size of an error of the bench."""
+    """The largest permitted u of an error of the bench, and the corresponding limit of its distribution."""
 
     name: str
     symbol: str
@@ -115,7 +115,7 @@ class RequireResult(ResultModel):
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`; its text also names the largest acceleration, if any, and errors left out."""
+    """The result of `bench require`; its text also has the largest acceleration (g) and uncounted errors."""
 
     result: RequireResult
     up_to_g: float | None
@@ -257,7 +257,7 @@ class PlannedPoints:
     """The result of `bench plan-points`, with additional data for its text.
 
     `paper_settings` is the number of settings in the paper's procedure. `learned` says whether the bench has a
-    learned file, which the plan does not use. `time` is the permitted bench time, None without one.
+    file of learned errors, which the plan does not use. `time` is the permitted bench time, None without one.
     """
 
     result: PlanPointsResult

@@ -99,7 +99,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return the misfit of held-out excursions without and with the effects found; "" if none were held out."""
+    """Return the misfit of held-out parts of a record, without and with the effects; "" without such parts."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -111,7 +111,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return in words which rival response predicts held-out excursions best; "" if there are no rivals."""
+    """Return which response to the meter's temperature best predicts held-out parts; "" if no such effect."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)

@@ -79,7 +79,7 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
 
 
 class HeldOutByRecord(ResultModel):
-    """Zeros of held-out records, predicted from the other records: their scatter divided by the stated u."""
+    """Biases (zeros) of held-out records: scatter about the prediction by other records, over stated u."""
 
     by: Literal["record"]
     before: Real = Field(description="ratio for constant zeros")
@@ -87,7 +87,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros from record to record, if each record is fitted alone."""
+    """The changes of the biases (zeros, in g) from record to record, if each record is fitted alone."""
 
     ratio: Real = Field(description="scatter of the zeros divided by their stated u")
     repeats: RepeatsPart

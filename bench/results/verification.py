@@ -49,7 +49,7 @@ class GlobalRiskPart(ResultModel):
 
 
 class RulePart(ResultModel):
-    """The limit of Δg at the verification points, and the rule of the decision."""
+    """The limit of |Δg| at the verification points, and the decision rule."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
@@ -106,7 +106,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that `Verification` has under another name or must compute."""
+    """Return the members of `VerdictPart` that `Verification` does not have under the same name."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -176,7 +176,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words; for a conditional pass, they say if the decision rule accepts it."""
+    """Return the verdict in a few words; a conditional pass also states whether the rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:

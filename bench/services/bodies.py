@@ -169,7 +169,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Correct a source's readings for mistakes that the early warning found; return readings and mistakes."""
+    """Correct readings for mistakes that the run's early warning found; return the readings and the mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()

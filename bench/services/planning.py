@@ -195,7 +195,7 @@ def _times(request: PlanPoints) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings for a plan: `visits` to each of the `installations`, by default to all of the bench."""
+    """Return `visits` mountings in each of the `installations` (None: all of the bench). Raises `Refused`."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
     labels = known
     if installations is not None:

@@ -1,4 +1,4 @@
-"""Runs that continue until goals for the uncertainty are reached; what to expect of any plan."""
+"""Runs that continue until goals for the uncertainty are reached; the findings of `bench check`."""
 
 from __future__ import annotations
 
