@@ -90,7 +90,7 @@ def _effect_part(now: EffectNow) -> EffectPart:
 
 
 def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
-    """Return the result of a model's test; `made_from` holds the members of `ConfirmResult` from `model` on."""
+    """Return the result of a model's test; `made_from` has the fields of `ConfirmResult` from `model` on."""
     in_g, in_v = found.unit == "g", found.unit == "V"
     return ConfirmResult.from_object(
         found,

@@ -232,7 +232,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def in_time(shown: ModelComparison) -> str:
-    """Return a plot of residuals without and with the effects, against time or, if unknown, reading number."""
+    """Return a plot of residuals without and with the effects, against time or, if unknown, in order."""
     columns = [
         (title, c, [rows for _, rows in plots.mounts_of(c)])
         for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
@@ -269,7 +269,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of ln odds of the effect `named` and rivals; a bracket joins those that fit equally."""
+    """Return a bar chart of ln odds of `named` and its rivals; a bracket joins effects that fit as well."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]

@@ -1,4 +1,4 @@
-"""The result of `bench diagnose` for free positions alone, as JSON, as text and as a page."""
+"""The result of `bench diagnose` for readings in unknown orientations (free positions): JSON, text, page."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ def joint_part(u: Floats, dof: Floats) -> JointPart:
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:
-    """Return the joint coverage factor of m numbers, with the least `dof` (m,) of those whose `u` (m,) is not 0."""
+    """Return the joint coverage factor of numbers with `u` (m,) above 0, for their smallest `dof` (m,)."""
     known = u > 0
     return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
 

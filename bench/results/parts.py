@@ -129,7 +129,7 @@ class EstimatePart(ValuePart):
 
 
 class CoefficientPart(ResultModel):
-    """One of the twelve coefficients, in unit/g or unit.
+    """One of the twelve coefficients, in unit/g or, for a bias, in the unit of the signals.
 
     All uncertainties are null for a coefficient that is zero by convention and not determined.
     """

@@ -70,7 +70,7 @@ class LimitPart(ResultModel):
 
     @property
     def now(self) -> str:
-        """The present size of the error (half-width, or k u) by the bench file, with its printed unit."""
+        """The limit of the error (half-width, or k u) that the bench file states, with its printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:

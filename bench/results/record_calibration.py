@@ -51,7 +51,7 @@ class RecordChannelPart(ResultModel):
 
 
 class RecordCalibrateResult(ResultModel):
-    """The calibration of meters from a record at a known input (rows R alone): U = gain × reference + offset."""
+    """The calibration of voltmeters that read a known reference voltage: U = gain × reference + offset."""
 
     estimator: Literal["gls"]
     unit: Literal["V"]

@@ -51,7 +51,7 @@ class RecordNoisePart(ResultModel):
 
 
 class RecordDiagnoseResult(AloneResult):
-    """A diagnosis of a record at a known input (rows R alone)."""
+    """A diagnosis of a record in which voltmeters read a known reference voltage (rows R alone)."""
 
     effects: list[EffectPart]
     rivals: list[Rival]
@@ -99,7 +99,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return the misfit of held-out parts of a record, without and with the effects; "" without such parts."""
+    """Return the misfit of held-out parts of the record without and with effects; "" without such parts."""
     gap = found.gap
     if not gap.folds:
         return ""

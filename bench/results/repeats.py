@@ -125,6 +125,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return a sentence on how zeros scatter between records, and on the term that must be added to their u."""
+    """Return a sentence on how biases (zeros) scatter between records, and the term to add to their u."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

@@ -331,7 +331,7 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return rows and units of a table of error sources that readings do not show, and u of gravity; or {}."""
+    """Return rows and units of a table of sources that readings do not show, and u of gravity; {} if none."""
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)

@@ -93,7 +93,7 @@ class AgainstPart(ResultModel):
 
 
 class ValidationResult(ResultModel):
-    """The result of `bench validate`; `passed` is true if no check failed and no change is still to be accepted."""
+    """The result of `bench validate`; `passed` is true if all checks passed, those on changes included."""
 
     passed: bool
     quick: bool

@@ -119,7 +119,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return the result of a verification; `made_from` holds the members of `VerifyResult` from `notes` on."""
+    """Return the result of a verification; `made_from` has notes, warnings, bench and corrections."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 

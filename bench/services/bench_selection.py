@@ -241,7 +241,7 @@ class BenchTaken:
         return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
 
     def learned(self) -> LearnedFile | None:
-        """Return what was learned of the bench; None if its file names no learned file. Raises `FileMistakes`."""
+        """Return the learned file that the bench file names, or None. Raises `FileMistakes`."""
         path = self.learned_path
         return None if path is None else load_learned(path, self.file)
 

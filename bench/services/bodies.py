@@ -169,7 +169,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Correct readings for mistakes that the run's early warning found; return the readings and the mistakes."""
+    """Correct readings for mistakes that the run's early warning found; return readings and mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()

@@ -140,7 +140,7 @@ def write_content(path: Path, content: str) -> Path:
 
 
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write readings without mistakes, before instrument corrections, and any origin file; return the path."""
+    """Write readings free of mistakes and of instrument corrections, and any origin file; return the path."""
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
     write_content(path, content)

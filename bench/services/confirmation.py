@@ -35,7 +35,7 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The part of the excess of reduced chi-square over 1 that the effects remove; None without an excess."""
+        """The fraction of reduced chi-square above 1 that the effects remove; None without such an excess."""
         return self.found.closed
 
     @property

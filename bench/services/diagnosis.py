@@ -90,7 +90,7 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed) or "unknown"."""
+        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed), "unknown"."""
         return self.diagnosis.verdict
 
     @property
@@ -199,11 +199,11 @@ class DiagnosisAlone(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed) or "unknown"."""
+        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed), "unknown"."""
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write: one file, or one for each sensor; may be empty."""
+        """Return the effects of each model file to write: one, or one for each sensor; [] without names."""
         if not _named(self.found, accept_first=accept_first):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]
