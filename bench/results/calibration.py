@@ -252,7 +252,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return a calibration's result; `made_from` has `temperature_effects` and the fields from `source` on."""
+    """Return a calibration's result; `made_from` has `temperature_effects` and fields from `source` on."""
     return CalibrateResult.from_object(
         found,
         per="g",

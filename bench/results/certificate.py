@@ -223,7 +223,7 @@ class VerifyResult(ResultModel):
 
 
 def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print a table of the coefficients in `result`, which has the members of `bench calibrate --json`."""
+    """Print a table of the coefficients in `result`, the parsed JSON of `bench calibrate --json`."""
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         digits = places(one["u"])

@@ -144,7 +144,7 @@ def compensate_result(
 
     `of_readings` is the part of the covariance that comes from the readings. `hidden` are the error sources
     that the readings do not show. `checks` holds pairs of a temperature (°C) and its verification.
-    `made_from` has the fields `check` and `python`, and those from `sources` on.
+    `made_from` has the fields `check` and `python`, and all fields from `sources` on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(

@@ -167,7 +167,7 @@ class FoundResult(ResultModel):
 
 
 class DiagnoseResult(FoundResult):
-    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
+    """A diagnosis: where model and readings disagree, the missing effect, and its test on held-out readings.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.

@@ -172,7 +172,7 @@ class PlacePart(ResultModel):
 
 
 class AloneResult(ResultModel):
-    """The members of a diagnosis of readings that are all free positions, or a record at a known input."""
+    """The fields that the diagnoses of free positions and of records at a known input have in common."""
 
     verdict: Verdict
     where: list[PlacePart]
@@ -196,7 +196,7 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result for the diagnosis `found`; `made_from` holds the members on bench and readings."""
+        """Return the result for `found`; `made_from` may have bench, corrections, simulated, skipped_rows."""
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
         return cls.from_object(found, **{**written, **of_source, **others})

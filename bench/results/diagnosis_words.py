@@ -177,7 +177,7 @@ def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]
 
 
 def sentence_of(family: str) -> str:
-    """Return the description of a family of effects as a sentence without a full stop."""
+    """Return the description of the effect or unnamed pattern `family`, a sentence without a full stop."""
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
 
 
@@ -274,7 +274,7 @@ def micro_g(value_g: float) -> str:
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far the named effects close the gap on held-out readings; "" if none named or held out."""
+    """Return how far the effects close the gap; "" if no effect is named or no readings were held out."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)

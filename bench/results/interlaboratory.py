@@ -61,7 +61,7 @@ class DriftPart(ResultModel):
 
 
 class KitResult(ResultModel):
-    """An interlaboratory comparison by the nine numbers that do not depend on the mounting."""
+    """An interlaboratory comparison by the nine intrinsic numbers, which do not depend on the mounting."""
 
     block: str
     unit: str

@@ -99,7 +99,7 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return the result on errors learned from runs of a bench; `made_from` holds the members on these runs."""
+    """Return the result on errors learned from runs; `made_from` gives the fields that `found` does not."""
     meters = found.meters
     return LearnResult(
         runs=list(found.runs),

@@ -120,7 +120,7 @@ def rivals_told(found: RecordDiagnosis) -> str:
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
-    """Yield a line on each channel: zero, drift, and the residuals before and after the effects found."""
+    """Yield a line on each channel: zero, drift, and the residuals without and with the effects found."""
     for fit in found.fits:
         zero, drift = (
             concise(1e6 * value, 1e6 * u)

@@ -104,7 +104,7 @@ class BetweenRecordsPart(ResultModel):
 
 
 def between_part(found: BetweenRecords) -> BetweenRecordsPart:
-    """Return the part of a result on the zeros in several records of free positions."""
+    """Return the part of a result on the biases (zeros) in several records of free positions."""
     repeats = found.repeats
     before = np.nan if repeats.held_before is None else repeats.held_before.value
     return BetweenRecordsPart(

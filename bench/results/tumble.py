@@ -62,7 +62,7 @@ class AxisPart(ResultModel):
 
 
 class TumbleNoisePart(ResultModel):
-    """The noise, as standard deviations."""
+    """The standard deviations of a reading and of a setting of the head, and their source."""
 
     reading_v: float
     setting_arcsec: float

@@ -74,7 +74,7 @@ class MistakesResult(BodyResult):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult(ResultWithPage):
-    """Where readings and model disagree, which effect is missing, and how well it predicts held-out readings.
+    """Where readings and model disagree, which effect is missing, and its test on held-out readings.
 
     result = bench.diagnose("unit-17")
     result.write_model("found.yaml")

@@ -210,7 +210,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` equal steps of a turn, rad, that the head can approach from both sides."""
+    """Return the angles (m,), rad, of `count` equal steps a turn that the head can reach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles
