@@ -102,7 +102,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of `bench check`, with the plan, the bench and the predictions that only the text shows."""
+    """The result of `bench check`, and the plan, bench and predictions from which its text is made."""
 
     result: CheckResult
     plan: Plan

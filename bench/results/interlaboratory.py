@@ -91,7 +91,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return the part on each change of the block in `seen`: codes of two stops, method, and change."""
+    """Return the part on each change of the block in `seen`: codes of two measurements, method, change."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [
@@ -107,7 +107,7 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
 
 
 def drift_words(drift: DriftPart, unit: str) -> str:
-    """Return a change of the block in words: codes of stops, number changed most relative to u, p-value."""
+    """Return a change in words: codes of both measurements, number changed most relative to u, p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"

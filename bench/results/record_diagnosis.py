@@ -111,7 +111,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return which response to the meter's temperature best predicts held-out parts; "" if no such effect."""
+    """Return which response to the meter's temperature best predicts held-out parts; "" if not compared."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)

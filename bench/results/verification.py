@@ -19,7 +19,7 @@ from bench.results.parts import BenchPart, Corrections
 
 
 class PointPart(ResultModel):
-    """A verification point."""
+    """A verification point: its Δg with u, the risks of the decision, and the statement of conformity."""
 
     angle_deg: float = Field(description="angle of the head, deg")
     pass_number: int = Field(alias="pass")
@@ -106,7 +106,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that `Verification` does not have under the same name."""
+    """Return the members of `VerdictPart` that are not simply attributes of `Verification`."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),

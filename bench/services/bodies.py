@@ -44,7 +44,7 @@ class Body:
 
     @property
     def sha256(self) -> tuple[str, ...]:
-        """The SHA-256 hashes of the readings in the body."""
+        """The SHA-256 of the readings of each source."""
         return tuple(data_sha256(source.as_read) for source in self.sources)
 
     def output(self, suffix: str, number: int | None = None) -> Path:

@@ -76,7 +76,7 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, the verdict "confounded" also gives a model file, with the likeliest effect.
+        With `accept_first`, the verdict "confounded" may give a model file, too, with the likeliest effect.
         `not_written` notes files that cannot be written; if `out` was requested, `OSError` is raised instead.
         """
 

@@ -134,7 +134,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `RecordError`; `Refused` if it exists or many runs contradict others."""
+        """Write the learned file. Raises `RecordError`; `Refused` if it exists or many runs disagree."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -457,11 +457,11 @@ class Monitored:
 
     @property
     def result(self) -> MonitorResult:
-        """The result for JSON."""
+        """The result as `bench monitor --json` writes it."""
         return monitor_result(self.chart, self.unit)
 
     def files(self, out: Path) -> Files:
-        """Yield description, path and text of each file in `out`."""
+        """Yield description, path and text of each file to write into the folder `out`."""
         yield "result", out / "monitor.json", to_text(self.result.to_dict())
         for name, figure in monitor_figures(self.chart, self.unit).items():
             yield "chart", out / f"monitor-{name}.svg", figure
