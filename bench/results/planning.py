@@ -194,7 +194,7 @@ class GoalPart(ResultModel):
 
 
 class PointPart(ResultModel):
-    """A setting of the head."""
+    """A planned setting of the head: mounting, pass, point, angle, and direction of approach."""
 
     installation: str
     series: int

@@ -1,4 +1,4 @@
-"""The result of `bench validate`: its checks, the installation that they prove, and its page."""
+"""The result of `bench validate`: its checks, the program and the bench that they cover, and its page."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class ProgramFingerprint(ResultModel):
 
 
 class ValidatedBench(ResultModel):
-    """The bench file of a validation."""
+    """The bench file of a validation, and the laboratory's own drivers and effects for it."""
 
     name: str
     file: str
