@@ -45,7 +45,7 @@ class RunsPart(ResultModel):
 
 
 class Counted(ResultModel):
-    """How many runs have a new result that differs from the stored one, and how many an equal one."""
+    """How many runs have a new result that differs from the stored one, equals it, or cannot be compared."""
 
     different: int = Field(description="number of runs whose new value differs from the stored one")
     same: int = Field(description="number of runs whose new value equals the stored one")
@@ -62,13 +62,13 @@ class VerdictChange(ResultModel):
 
 
 class VerdictsPart(Counted):
-    """How many runs have a new verdict that differs from the stored one, and how many an equal one."""
+    """How many runs have a new verdict that differs from the stored one, equals it, or cannot be compared."""
 
     changes: list[VerdictChange] = Field(description="number of runs for each pair of stored and new verdict")
 
 
 class ChangeInU(ResultModel):
-    """The largest change of a coefficient in each run, in units of its stored u: statistics over all runs."""
+    """The largest coefficient change of each run, in units of stored u: median, 95 % quantile, maximum."""
 
     median: float
     of_95_percent: float
@@ -102,7 +102,7 @@ class DifferentVerdict(_Different):
     largest_change_of: str | None
 
     def cells(self) -> list[str]:
-        """Return the cells after the verdicts of a row: stored Δg, new Δg, largest change of a coefficient."""
+        """Return the row's cells after its two verdicts: stored Δg, new Δg, largest coefficient change."""
         sizes = (self.worst_delta_g_stored, self.worst_delta_g)
         change = self.largest_change_in_u
         went = "" if change is None else f"{change:.2g} u in {self.largest_change_of}" if change else "none"
@@ -116,7 +116,7 @@ class DifferentNames(_Different):
     names: str
 
     def cells(self) -> list[str]:
-        """Return the cells after the verdicts of a row: the effects named before, and the effects named now."""
+        """Return the row's cells after its two verdicts: effects named before, and effects named now."""
         return [self.names_stored, self.names]
 
 
@@ -161,7 +161,10 @@ class BatchResult(ResultModel):
     files: list[str] = Field(description="tables written to the batch's folder")
 
     def accepted(self, *, strict: bool = False) -> bool:
-        """Return whether no verdict differs and no run failed; with `strict`, fit and names must agree, too."""
+        """Return whether no verdict differs and no run failed.
+
+        With `strict`, the lack-of-fit decisions and the names of effects must not differ, either.
+        """
         more = (self.fit or self.names) if strict else None
         return not (self.verdicts.different or self.runs.failed or (more and more.different))
 

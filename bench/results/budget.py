@@ -101,7 +101,7 @@ class VerificationPart(RulePart):
 
     @property
     def decision(self) -> DecisionRule:
-        """The decision rule."""
+        """The rule, with its guard band, that decides whether Δg is accepted."""
         return DecisionRule.of_json(self.to_dict())
 
 

@@ -78,7 +78,7 @@ class DriftPart(ResultModel):
 
 
 class NoisePart(parts.ChannelsPart):
-    """Standard deviations of noise: of a single reading, by channel, and shared by several readings."""
+    """Standard deviations of a single reading in each channel, and of errors that several readings share."""
 
     reading_v: float
     """standard deviation of a reading, unit of the signal: root mean square of the three channels"""
@@ -142,7 +142,7 @@ class ArrayWithU(ResultModel):
 
 
 class TriangularPart(ResultModel):
-    """The nine coefficients (K is triangular) that free positions alone determine."""
+    """The nine numbers of a = T S (U - b), a in m/s², that free positions alone determine."""
 
     convention: str
     bias: ArrayWithU
@@ -151,7 +151,7 @@ class TriangularPart(ResultModel):
 
 
 class ConventionPart(ResultModel):
-    """What free positions alone do not determine, and the convention in its place."""
+    """The convention for coefficients and signs that free positions alone do not determine."""
 
     zero: list[str] = Field(
         description="coefficients that are zero; their rows of `covariance` are zero, too"
@@ -252,7 +252,7 @@ class CalibrateResult(ResultModel):
 
 
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
-    """Return the result of a calibration; `made_from` holds the members of `CalibrateResult` from `source` on."""
+    """Return a calibration's result; `made_from` has `temperature_effects` and fields from `source` on."""
     return CalibrateResult.from_object(
         found,
         per="g",
@@ -380,8 +380,7 @@ def coefficients_table(found: Calibration) -> Table:
 def sources_table(found: Calibration) -> Table:
     """Return a table of the error sources that readings do not show.
 
-    A row states to which coefficient the source contributes most, compared with that coefficient's u, and how
-    much.
+    A row names the coefficient in whose u the source has the largest part, and the contribution to this u.
     """
     shown = table("further contributions to u", ">u", "from", ">most", "in")
     for source in found.sources:

@@ -103,7 +103,7 @@ class DuePart(ResultModel):
 
 
 class UnitDue(DuePart):
-    """The date on which a unit is due for calibration."""
+    """A unit, the date on which it is due for calibration, and the reason."""
 
     unit: str = Field(description="type and serial number")
 
@@ -245,7 +245,7 @@ def unit_page(result: UnitResult) -> str:
 
 
 def unit_figure(calibrations: Sequence[UnitCalibration], *, inline: bool = False) -> str:
-    """Plot each coefficient minus its last value, with U (k = 2); return SVG: a file or (`inline`) an element."""
+    """Return an SVG plot of each coefficient minus its last value, with U (k = 2); `inline`: for a page."""
     from bench.results.plots import BLUE, GREY, svg_figure, svg_file, symbol
 
     dates = np.array([one.created[:19] for one in calibrations], dtype="datetime64[s]")

@@ -152,12 +152,12 @@ class RegisterSays(ResultModel):
 
     @property
     def vouches(self) -> bool:
-        """Whether the user named the register, and it contains the certificate; another register proves nothing."""
+        """Whether the register contains the certificate, and the user named the register."""
         return self.named and self.known
 
     @property
     def words(self) -> str:
-        """The end of the verdict in words: the certificate's state in the register; "" for a valid certificate."""
+        """The certificate's state in the register, as the end of the verdict; "" for a valid certificate."""
         if self.holds:
             return ""
         return f", {self.state.upper()} ({self.by})" if self.known else ", UNKNOWN TO THE REGISTER"
@@ -191,8 +191,8 @@ class VerifyResult(ResultModel):
     def accepted(self) -> bool:
         """Whether the certificate is intact, its signer trusted, and its number valid in the register.
 
-        Without a trust file or register, the respective check is left out. An unsigned certificate is accepted
-        only if a register that the user named contains it.
+        Without a trust file, the signer is not checked; without a register, the number is not. An unsigned
+        certificate is accepted only if a register that the user named contains it.
         """
         standing = self.register_
         holds = standing is None or standing.holds
@@ -223,7 +223,7 @@ class VerifyResult(ResultModel):
 
 
 def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print a table of the coefficients in `result`, which has the members of `bench calibrate --json`."""
+    """Print a table of the coefficients in `result`, the parsed JSON of `bench calibrate --json`."""
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         digits = places(one["u"])

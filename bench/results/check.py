@@ -50,7 +50,7 @@ class DirectionPart(ResultModel):
 
 
 class ObservabilityPart(ResultModel):
-    """The coefficients and stand errors that the readings determine, and those that remain open."""
+    """The coefficients and stand errors that the readings determine, and those that they do not determine."""
 
     rank: int
     unknowns: int
@@ -102,7 +102,7 @@ class CheckResult(ResultModel):
 
 @dataclass(frozen=True)
 class Findings:
-    """The result of `bench check`, and what its printed text needs besides: plan, bench and predictions."""
+    """The result of `bench check`, and the plan, bench and predictions from which its text is made."""
 
     result: CheckResult
     plan: Plan
@@ -150,7 +150,7 @@ def until_part(found: TimeOutlook) -> UntilPart:
 
 
 def print_findings(found: Findings, out: Console, *, every_step: bool = False) -> None:
-    """Print steps, expected times, undetermined coefficients and problems; `every_step` is that of `listing`."""
+    """Print steps (with `every_step`, one a line), expected times, undetermined coefficients and problems."""
     result, plan, bench = found.result, found.plan, found.bench
     if (before := switched_before(plan, bench)) is not None:
         out.print(f"{'before':>13}  {before}")

@@ -1,4 +1,4 @@
-"""Comparisons of calibrations: of one block over time, and of benches by common blocks; as JSON and as text."""
+"""Comparisons of one block over time, and of benches that measured the same blocks; as JSON and as text."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class CalibrationOfBlock(ResultModel):
 
 
 class ChangePart(ResultModel):
-    """The change of a coefficient since the first calibration, in unit/g or unit."""
+    """The change of a coefficient or intrinsic number since the first calibration, in the number's unit."""
 
     difference: float
     u: float = Field(description="standard uncertainty of the difference")
@@ -69,7 +69,7 @@ class ChangesPart(CalibrationOfBlock):
 
 
 class RatePart(ResultModel):
-    """The drift rate of a coefficient, per year."""
+    """The drift rate of a coefficient or an intrinsic number, per year."""
 
     value: float
     u: float
@@ -78,7 +78,7 @@ class RatePart(ResultModel):
 
 
 class LinesPart(ResultModel):
-    """Weighted straight lines through each coefficient over time."""
+    """The weighted straight line through each coefficient or intrinsic number over time."""
 
     per_year: dict[str, RatePart]
     chi2: float = Field(description="chi-square of the residuals from the straight lines")
@@ -285,7 +285,7 @@ class PairPart(ResultModel):
 
 
 class EquivalencePart(ResultModel):
-    """The comparison of the benches by the values of one coefficient."""
+    """The comparison of the benches by one number: a coefficient or an intrinsic number."""
 
     method: Literal["weighted mean", "Mandel-Paule", "DerSimonian-Laird"]
     dark: Real = Field(description="standard deviation between benches beyond their stated u")
@@ -323,7 +323,7 @@ class AllTogether(ResultModel):
 
 
 class BeyondPart(ResultModel):
-    """A bench that deviates from the reference value of a coefficient by more than U (k = 2)."""
+    """A bench that deviates from the reference value of a number (`coefficient`) by more than U (k = 2)."""
 
     bench: str
     coefficient: str

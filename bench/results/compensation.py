@@ -37,7 +37,7 @@ class TermPart(parts.ValuePart):
 
 
 class PolynomialPart(ResultModel):
-    """A coefficient as a polynomial of temperature minus reference temperature."""
+    """A coefficient as a polynomial in T - T_ref: the temperature minus the reference temperature."""
 
     degree: int
     terms: list[TermPart]
@@ -144,7 +144,7 @@ def compensate_result(
 
     `of_readings` is the part of the covariance that comes from the readings. `hidden` are the error sources
     that the readings do not show. `checks` holds pairs of a temperature (°C) and its verification.
-    `made_from` holds the check vectors, their test, and the members of `CompensateResult` from `sources` on.
+    `made_from` has the fields `check` and `python`, and all fields from `sources` on.
     """
     u, count = u_of(model.covariance).reshape(model.values.shape), model.values.shape[1]
     return CompensateResult.from_object(

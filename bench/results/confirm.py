@@ -46,7 +46,7 @@ class EffectPart(ResultModel):
 
 
 class ConfirmResult(ResultModel):
-    """A model tested on new readings: the gap with and without the model, and the verdict on each effect."""
+    """A model tested on new readings: misfit without and with its effects, and the verdict on each effect."""
 
     closed: Real
     """part of the gap that the model closes: (before - after)/(before - floor); null if `before` is not above
@@ -90,7 +90,7 @@ def _effect_part(now: EffectNow) -> EffectPart:
 
 
 def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
-    """Return the result of a model's test; `made_from` holds the members of `ConfirmResult` from `model` on."""
+    """Return the result of a model's test; `made_from` has the fields of `ConfirmResult` from `model` on."""
     in_g, in_v = found.unit == "g", found.unit == "V"
     return ConfirmResult.from_object(
         found,
@@ -109,7 +109,7 @@ def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
 
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
-    """Print notes, the verdict on each effect, and how much of the gap the model closes."""
+    """Print notes, the verdict on each effect, and how far the model reduces the misfit of the readings."""
     print_notes(out, notes)
     for effect in found.effects:
         for line in effect_now_in_words(effect):

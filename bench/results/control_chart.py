@@ -43,7 +43,7 @@ class DesignPart(ResultModel):
 
 
 class LimitsPart(ResultModel):
-    """The control limits."""
+    """The control limits of T² and of each number (in units of its u), for single runs and for the EWMA."""
 
     t2: float = Field(description="limit of T² of a run")
     ewma_t2: float = Field(description="limit of T² of the EWMA")
@@ -61,7 +61,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """Deviation of a coefficient from the centre line, its u, and their ratio `z`; the same for the EWMA."""
+    """Deviation of a number from its centre line, u, and their ratio `z`: of the run, then of the EWMA."""
 
     deviation: float
     u: float
@@ -87,7 +87,7 @@ class ChartedRun(ResultModel):
 
 
 class VariabilityPart(ResultModel):
-    """The variability of a coefficient in the baseline, as standard deviations."""
+    """The variability of a coefficient or an intrinsic number in the baseline, as standard deviations."""
 
     noise: float = Field(description="standard deviation between runs due to the noise of readings")
     stated: float = Field(description="stated u of one run, from all errors that change between runs")
@@ -118,7 +118,7 @@ class ComponentsPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The rate at which a coefficient drifts in the accepted runs, after subtraction of the known drift."""
+    """The drift rate of a coefficient or intrinsic number in the accepted runs, minus the known drift."""
 
     per_year: float
     u: float
@@ -126,7 +126,7 @@ class DriftPart(ResultModel):
 
 
 class NineRun(ResultModel):
-    """A run of the check block as charted by its nine intrinsic numbers."""
+    """The statistics of a run of the check block in the chart of its nine intrinsic numbers."""
 
     t2: float = Field(description="T² of the nine intrinsic numbers")
     p: float = Field(description="p-value of T²")

@@ -64,7 +64,7 @@ class ProposalPart(ResultModel):
 
 
 class ModulusPart(ResultModel):
-    """The error of the modulus at a verification point."""
+    """The error of the measured |a| at a verification point, where the true |a| is 1 g."""
 
     angle_deg: float
     pass_number: int = Field(alias="pass")
@@ -74,7 +74,7 @@ class ModulusPart(ResultModel):
 
 
 class SimulationPart(ResultModel):
-    """A comparison of the readings with a simulation; numbers are null if no reading was repeated."""
+    """A comparison of the readings with a simulation; `chi2` and `p` are null without enough repeats."""
 
     chi2: Real
     dof: int | float
@@ -94,14 +94,14 @@ class SimulationsPart(ResultModel):
 
 
 class ShiftPart(ResultModel):
-    """A change of a coefficient, in units of its u if the effect found is the true one."""
+    """The change of a coefficient if another effect replaces the one found, in units of its u."""
 
     coefficient: str
     in_u: Real
 
 
 class RivalPart(ResultModel):
-    """A family of effects that may explain the readings in place of an effect that was found."""
+    """An effect, in any of its forms, that may explain the readings in place of an effect that was found."""
 
     name: str
     ln_odds: float = Field(description="ln of the odds that this family is present")
@@ -167,7 +167,7 @@ class FoundResult(ResultModel):
 
 
 class DiagnoseResult(FoundResult):
-    """A diagnosis: where model and readings disagree, the missing effect, and how far it closes the gap.
+    """A diagnosis: where model and readings disagree, the missing effect, and its test on held-out readings.
 
     For several sources, the output of `bench diagnose --json` is a list of these; a source that could not be
     evaluated has a `source-failed` object in its place.
@@ -262,7 +262,7 @@ def mistakes_result(
     bench: BenchPart | None,
     corrections: Sequence[CorrectionPart],
 ) -> DiagnoseResult:
-    """Return the result of a diagnosis that ended with mistakes, because they leave too few readings to go on."""
+    """Return the result of a diagnosis that found only mistakes: the other readings are too few to fit."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
         **dict.fromkeys(("form", "registered", "simulation", "report")),
@@ -388,7 +388,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 
 
 def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
-    """Print the mistakes of a diagnosis that found nothing else, and what must be measured again."""
+    """Print the mistakes of a diagnosis that could go no further, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
     out.print(f"In the corrected copy {found.reason}")
@@ -543,7 +543,7 @@ def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
 
 
 def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
-    """Print the files written and, if effects are tied or not confirmed, why there is no model file."""
+    """Print the files that were written; for the verdict "confounded", also why there is no model file."""
     report = () if files.report is None else (files.report,)
     told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
     for what, paths in told.items():

@@ -205,7 +205,7 @@ def _apart(diagnosis: Diagnosis) -> list[Effect]:
 
 
 def columns_of(shown: ModelComparison) -> list[tuple[str, Calibration]]:
-    """Return title and calibration of each column of a figure: fit before, any fit after, and simulation."""
+    """Return title and calibration of each column: given model, model with any effects found, simulation."""
     after = [] if shown.after is None else [(message("after"), shown.after.calibration)]
     return [
         (message("before") if after else message("readings"), shown.before.calibration),
@@ -232,7 +232,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
 
 
 def in_time(shown: ModelComparison) -> str:
-    """Return a plot of residuals before and after, against time or, if any time is missing, in order."""
+    """Return a plot of residuals without and with the effects, against time or, if unknown, in order."""
     columns = [
         (title, c, [rows for _, rows in plots.mounts_of(c)])
         for title, c in columns_of(shown)[: 1 if shown.after is None else 2]
@@ -269,7 +269,7 @@ def gap_bars(gap: Gap) -> str:
 
 
 def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
-    """Return a bar chart of ln odds of the effect `named` and its rivals; a bracket joins the tied effects."""
+    """Return a bar chart of ln odds of `named` and its rivals; a bracket joins effects that fit as well."""
     ordered = sorted(rows, key=lambda rival: rival.evidence)
     places = np.arange(len(ordered), dtype=float)
     alike = [i for i, rival in enumerate(ordered) if rival.family == named or rival.tied]

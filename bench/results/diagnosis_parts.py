@@ -1,4 +1,4 @@
-"""Parts of the JSON of a diagnosis: findings, gap, noise, unnamed terms."""
+"""Parts of the JSON of a diagnosis: findings, misfit of held-out readings (gap), noise, unnamed terms."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ class FormGapPart(ResultModel):
 
 
 class GapPart(FormGapPart):
-    """The reduced chi-square of readings held out of the fit; do these readings confirm the effects found?"""
+    """The reduced chi-square of readings held out of the fit, and whether they confirm the effects found."""
 
     shrinks: bool | None
     """whether the gap shrinks by the rule in `registered`, which a name requires; null if nothing was found
@@ -172,7 +172,7 @@ class PlacePart(ResultModel):
 
 
 class AloneResult(ResultModel):
-    """The members of a diagnosis of readings that are all free positions, or a record at a known input."""
+    """The fields that the diagnoses of free positions and of records at a known input have in common."""
 
     verdict: Verdict
     where: list[PlacePart]
@@ -196,7 +196,7 @@ class AloneResult(ResultModel):
 
     @classmethod
     def made(cls, found: object, files: Files, made_from: Mapping[str, Any], **others: Any) -> Self:
-        """Return the result for the diagnosis `found`; `made_from` holds the members on bench and readings."""
+        """Return the result for `found`; `made_from` may have bench, corrections, simulated, skipped_rows."""
         of_source = {"bench": None, "corrections": [], "simulated": False, "skipped_rows": [], **made_from}
         written = {"next_measurement": None, "model": files.model, "report": files.report}
         return cls.from_object(found, **{**written, **of_source, **others})
@@ -232,7 +232,7 @@ class NoisePart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """The estimated size of a term; `channel` is null if all channels share it."""
+    """The estimated amplitude of a term; `channel` is null if all channels share it."""
 
     parameter: str
     channel: str | None

@@ -1,4 +1,4 @@
-"""Sentences on a diagnosis, shared by page and terminal."""
+"""Sentences on a diagnosis, shared by page and terminal; the gap is the misfit of held-out readings."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def with_unit(number: str, unit: str) -> str:
 
 
 def effect_title(effect: NamedEffect | Mistake) -> str:
-    """Return the name of an effect with its channels and mountings: "quadratic_nonlinearity of y"."""
+    """Return the name of an effect with its channels and installations: "quadratic_nonlinearity of y"."""
     title = effect.name
     entry = CATALOGUE.get(title)
     of_channels = entry is None or any(parameter.per_channel for parameter in entry.parameters)
@@ -163,7 +163,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return in words the p-value of an effect, corrected for multiple tests, and its size rho, if known."""
+    """Return the p-value of an effect, corrected for multiple tests, and rho (amplitude over u), if known."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -177,12 +177,12 @@ def absent_by_reason(absent: Mapping[str, str]) -> Iterator[tuple[str, list[str]
 
 
 def sentence_of(family: str) -> str:
-    """Return the description of a family of effects as a sentence without a full stop."""
+    """Return the description of the effect or unnamed pattern `family`, a sentence without a full stop."""
     return CATALOGUE[family].sentence if family in CATALOGUE else UNNAMED_WORDS[family]
 
 
 def place_in_words(place: ResidualPattern) -> str:
-    """Return a pattern of residuals as a phrase: its place, description, size and p-value."""
+    """Return a pattern of residuals as a phrase: its place, description, amplitude and p-value."""
     where = message("verification points") if place.channel == "modulus" else f"channel {place.channel}"
     if place.installation == "all":
         where += message(", whole run")
@@ -193,10 +193,10 @@ def place_in_words(place: ResidualPattern) -> str:
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
-    """Return each effect that such readings can show, with the size that is found in half of all runs.
+    """Return each effect that such readings can show, with the amplitude that half of all runs would find.
 
-    If an effect has variants, the size is that of the one easiest to find. If it has several parameters, such as
-    the two phases of a wave, the size is their norm in the direction that is hardest to find.
+    It is the amplitude in the channel, mounting and form where the effect shows best. If an effect has two
+    amplitudes, as the phases of a wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():
@@ -274,7 +274,7 @@ def micro_g(value_g: float) -> str:
 
 
 def gap_in_words(gap: Gap) -> str:
-    """Return how far the named effects close the gap on held-out readings; "" if none named or held out."""
+    """Return how far the effects close the gap; "" if no effect is named or no readings were held out."""
     if not (gap.named and gap.folds):
         return ""
     told = closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
@@ -288,7 +288,7 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
 
 
 def surer_in_words(proposal: Proposal | None) -> str:
-    """Return duration and chance of success of the procedure proposed to resolve a tie; "" without a tie."""
+    """Return duration and success probability of the procedure that can decide between names; "" if none."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
@@ -315,7 +315,7 @@ def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def odds_in_words(effect: NamedEffect) -> str:
-    """Return the names of an effect that have at least 1 %: "97 % cubic_nonlinearity, 2 % warm_up"."""
+    """Return the names with a probability of at least 1 %: "97 % cubic_nonlinearity, 2 % warm_up"."""
     shown = [one for one in effect.odds if one.probability >= BY_CHANCE]
     return ", ".join(f"{_percent(one.probability)} {one.name}" for one in shown)
 
@@ -326,7 +326,7 @@ def _percent(probability: float) -> str:
 
 
 def gap_of_verdict(diagnosis: Findings) -> str:
-    """Return how far the effects close the gap, or why held-out readings do not confirm them; may be ""."""
+    """Return how far effects close the gap, or why held-out readings do not confirm them; "" for neither."""
     gap = diagnosis.gap
     return gap.reason if diagnosis.of_copy == "confounded" and gap.reason else gap_in_words(gap)
 
@@ -384,12 +384,12 @@ def _of_copy_in_words(diagnosis: Diagnosis) -> str:
 
 
 def alike_in_words(effects: Sequence[NamedEffect | Mistake]) -> str:
-    """Return the names of effects, each with its tied alternatives: "bias_drift of x or warm_up; ..."."""
+    """Return the names of effects, each with those that fit as well: "bias_drift of x or warm_up; ..."."""
     return "; ".join(" or ".join([effect_title(one), *one.cannot_tell_from]) for one in effects)
 
 
 def named_in_words(effect: NamedEffect) -> str:
-    """Return the name of an effect with its probability; for a tie, all names with their probabilities."""
+    """Return the name of an effect with its probability; if several names fit, each with at least 1 %."""
     odds = odds_in_words(effect)
     if effect.cannot_tell_from:
         return odds
@@ -409,7 +409,7 @@ def readings_named(source: str) -> str:
 
 
 def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, str]:
-    """Return the evidence from free positions or a record for the model file, by title; `gap` is its text."""
+    """Return the evidence for the model file, by title; `gap` is the text on held-out readings."""
     told = {"found in": readings_named(found.source)}
     for one in found.effects:
         rho = "" if one.rho is None else f", rho {one.rho:.1f}"
@@ -456,7 +456,7 @@ def joined_in_words(shown: ModelComparison) -> Iterator[str]:
 
 
 def still_missing(shown: ModelComparison) -> bool:
-    """Return whether readings and last model (with any effects found) differ by more than repeats scatter."""
+    """Return whether the last model (with any effects found) misfits beyond the scatter of repeats (1 %)."""
     return shown.last.tested and shown.last.test.shown
 
 
@@ -507,7 +507,7 @@ def _evidence_for_form(form: FreeForm) -> dict[str, str]:
 
 
 def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
-    """Return the coefficients whose u is much larger with the effects found, as "Kyz (u 249 times)"."""
+    """Return the coefficients whose u more than doubles with the effects found, as "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
     return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]

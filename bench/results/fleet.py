@@ -1,4 +1,4 @@
-"""The results of `bench fleet` on units: bench or block, priors, drift, capability; as JSON and as text."""
+"""The results of `bench fleet` on blocks: variance components, priors, drift, capability; JSON and text."""
 
 from __future__ import annotations
 
@@ -254,7 +254,7 @@ def print_prior(result: PriorResult, out: Console) -> None:
 
 
 class RatePart(ResultModel):
-    """The drift rate of a coefficient, its scatter and its random walk."""
+    """The drift rate of a coefficient or intrinsic number, with the scatter and random walk of its values."""
 
     value: float = Field(description="rate per year")
     u: float
@@ -267,7 +267,7 @@ class RatePart(ResultModel):
 
 
 class ForetoldPoint(ResultModel):
-    """The coefficients predicted for a date."""
+    """The coefficients and intrinsic numbers predicted for a date."""
 
     at: str = Field(description="date given with --at")
     coefficients: dict[str, ValuePart] = Field(description="predicted coefficients by name")
@@ -365,7 +365,7 @@ def _rates_table(rates: dict[str, RatePart], then: dict[str, ValuePart] | None, 
 
 
 class ScatterPart(LimitedPart):
-    """The scatter (1 sigma) of a unit's calibrations beyond their stated u, significant drift removed."""
+    """The scatter (1 sigma) of a unit's calibrations beyond stated u, after removal of significant drift."""
 
     value: float = Field(description="root mean square, allowing for the degrees of freedom")
     at_least: float = Field(description="lower 95 % limit of the scatter")

@@ -1,4 +1,4 @@
-"""The result of `bench diagnose` for free positions alone, as JSON, as text and as a page."""
+"""The result of `bench diagnose` for readings in unknown orientations (free positions): JSON, text, page."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
-    """Return a plot of |a| - 1 g against the time in a record, before and after the effects found."""
+    """Return a plot of |a| - 1 g against the time in a record, without and with the effects found."""
     rows = found.rows
     fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
@@ -251,7 +251,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
 
 
 def modulus_by_record(found: FreeDiagnosis) -> str:
-    """Return a bar chart of the rms of |a| - 1 g by record and sensor, before and after the effects found."""
+    """Return a bar chart of the rms of |a| - 1 g by record and sensor, without and with the effects found."""
     rows = found.rows
     records = np.unique(rows.record)
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")

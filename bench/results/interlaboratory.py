@@ -31,14 +31,14 @@ WORDS: Final = {True: "OFF", False: "agrees"}
 
 
 class DifferencePart(ValuePart):
-    """A laboratory's value minus the consensus of the others, for one of the nine intrinsic numbers."""
+    """A laboratory's value minus the consensus of all others, for one of the nine intrinsic numbers."""
 
     en: float
     dark: float = Field(description="dark uncertainty of the other laboratories (standard deviation)")
 
 
 class LaboratoryPart(ResultModel):
-    """A laboratory compared with the consensus of all others; u contains no scatter between laboratories."""
+    """A laboratory compared with the consensus of all others; u includes the scatter between these others."""
 
     code: str
     chi2: float
@@ -49,7 +49,7 @@ class LaboratoryPart(ResultModel):
 
 
 class DriftPart(ResultModel):
-    """The change of the block between two stops at the pilot laboratory or two monitors at one stop."""
+    """The change of the block between two calibrations by the pilot, or between two monitor runs."""
 
     first: str = Field(description="code of the first stop")
     last: str
@@ -61,7 +61,7 @@ class DriftPart(ResultModel):
 
 
 class KitResult(ResultModel):
-    """An interlaboratory comparison by the nine numbers that do not depend on the mounting."""
+    """An interlaboratory comparison by the nine intrinsic numbers, which do not depend on the mounting."""
 
     block: str
     unit: str
@@ -91,7 +91,7 @@ def laboratories_of(codes: Sequence[str], judged: Sequence[LaboratoryJudged]) ->
 
 
 def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], Drift]]) -> list[DriftPart]:
-    """Return the part on each change of the block; `seen` has first and last stop, method and drift of each."""
+    """Return the part on each change of the block in `seen`: codes of two measurements, method, change."""
     p = [drift.p for *_, drift in seen]
     looks = holm(np.array(p)).tolist() if p else []
     return [
@@ -107,7 +107,7 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
 
 
 def drift_words(drift: DriftPart, unit: str) -> str:
-    """Return a change of the block in words: stops, the number that changed most relative to u, and p-value."""
+    """Return a change in words: codes of both measurements, number changed most relative to u, p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"

@@ -51,7 +51,7 @@ class IntrinsicPart(ResultModel):
 
 
 class JointPart(ResultModel):
-    """The joint coverage factor: the size of the ellipsoid that contains all numbers at once (95 %)."""
+    """The joint coverage factor k: an ellipsoid of semi-axes k u contains all true values jointly (95 %)."""
 
     count: int = Field(description="number of values with an uncertainty")
     k: float = Field(description="joint coverage factor: √(p F(p, dof)), or √χ²(p) for infinite dof")
@@ -73,10 +73,7 @@ def joint_part(u: Floats, dof: Floats) -> JointPart:
 
 
 def joint_of(u: Floats, dof: Floats) -> JointFactor:
-    """Return the joint coverage factor of m numbers with `u` (m,), for the smallest of their `dof` (m,).
-
-    Numbers with u = 0 do not count.
-    """
+    """Return the joint coverage factor of numbers with `u` (m,) above 0, for their smallest `dof` (m,)."""
     known = u > 0
     return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
 

@@ -22,7 +22,7 @@ class RecordPart(ResultModel):
 
 
 class ContradictionPart(ResultModel):
-    """A run that was left out because it contradicts the others."""
+    """A run that was left out because it contradicts the other runs."""
 
     run: str
     what: str
@@ -32,7 +32,7 @@ class ContradictionPart(ResultModel):
 
 
 class SizePart(ResultModel):
-    """The size of an error of the bench, learned from runs."""
+    """A learned quantity of the bench: a mean angle, a standard deviation, a difference of voltmeters, …"""
 
     value: float
     u: float = Field(description="standard uncertainty")
@@ -49,7 +49,7 @@ class MeansPart(ResultModel):
 
 
 class VariancesPart(ResultModel):
-    """The covariance of two variance components: remounts (rad²) and drift (unit²/h)."""
+    """The covariance of variance components: angles between mountings (rad²), drift by channel (unit²/h)."""
 
     order: list[str]
     covariance: Matrix
@@ -67,7 +67,7 @@ class ContrastsPart(ResultModel):
 
 
 class MetersPart(ResultModel):
-    """The differences between voltmeters, from runs of one block, with voltmeters exchanged in between."""
+    """The differences between voltmeters, from runs in which different ones read one channel of a block."""
 
     meters: list[str]
     group: list[int] = Field(description="number of the group, whose meters were compared")
@@ -99,7 +99,7 @@ class LearnResult(ResultModel):
 
 
 def learn_result(found: Learned, **made_from: Any) -> LearnResult:
-    """Return the result on errors learned from runs of a bench; `made_from` holds the members on these runs."""
+    """Return the result on errors learned from runs; `made_from` gives the fields that `found` does not."""
     meters = found.meters
     return LearnResult(
         runs=list(found.runs),

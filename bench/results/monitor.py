@@ -1,4 +1,4 @@
-"""The result of `bench monitor`: bias, scale factor and angle of a few positions over days; JSON, text, chart."""
+"""The result of `bench monitor`: biases, scale factors, angle in short runs over days; JSON, text, chart."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bench.results.plots import svg_figure
 
 
 class MonitoredRun(ResultModel):
-    """One run of a monitor; runs of the baseline have no verdict."""
+    """A monitor run (of two or four positions); runs of the baseline have no verdict."""
 
     run: str
     began: str
@@ -29,7 +29,7 @@ class MonitoredRun(ResultModel):
 
 
 class MonitorResult(ResultModel):
-    """A series of monitors: the first `baseline` runs set the limits; the later runs are judged."""
+    """A series of monitor runs: the first `baseline` runs set the limits; the later runs are judged."""
 
     order: list[str]
     """names of the values: bx (g) and Sx (`unit`/g) for each axis that was turned; theta_xz (deg) for two axes"""
@@ -42,7 +42,7 @@ class MonitorResult(ResultModel):
 
 
 def monitor_result(chart: ControlChart, unit: str) -> MonitorResult:
-    """Return the result of a chart of monitors with signals in `unit`."""
+    """Return the result of a chart of monitor runs with signals in `unit`."""
     verdicts = [None] * len(chart.baseline) + list(chart.verdicts)
     t2 = [None] * len(chart.baseline) + chart.shewhart.t2.tolist()
     runs = [
@@ -76,7 +76,7 @@ def print_monitor(result: MonitorResult, on: Console) -> None:
 
 
 def monitor_figures(chart: ControlChart, unit: str) -> dict[str, str]:
-    """Return two charts as SVG by name: T², EWMA and s; each number. Without runs after the baseline, return {}."""
+    """Return SVG charts: "joint" (T², EWMA, s), "single" (each number); {} if only the baseline was run."""
     if not chart.later:
         return {}
     return {

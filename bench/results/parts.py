@@ -122,14 +122,14 @@ class ValuePart(ResultModel):
 
 
 class EstimatePart(ValuePart):
-    """An estimate of a parameter."""
+    """An estimate of a parameter, and whether the readings improved on its prior."""
 
     unit: str
     told_by_data: bool = Field(description="whether the readings reduced its prior uncertainty")
 
 
 class CoefficientPart(ResultModel):
-    """One of the twelve coefficients, in unit/g or unit.
+    """One of the twelve coefficients, in unit/g or, for a bias, in the unit of the signals.
 
     All uncertainties are null for a coefficient that is zero by convention and not determined.
     """

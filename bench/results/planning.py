@@ -35,7 +35,7 @@ _SHOWN: Final = {
 
 
 class LimitPart(ResultModel):
-    """The largest admissible size of an error of the bench."""
+    """The largest permitted u of an error of the bench, and the corresponding limit of its distribution."""
 
     name: str
     symbol: str
@@ -70,7 +70,7 @@ class LimitPart(ResultModel):
 
     @property
     def now(self) -> str:
-        """The present size of the error (half-width, or k u) by the bench file, with its printed unit."""
+        """The limit of the error (half-width, or k u) that the bench file states, with its printed unit."""
         return self.shown(self.u_now * (math.sqrt(3.0) if self.distribution == "rectangular" else self.k))
 
     def shown(self, value: float, *, down: bool = False) -> str:
@@ -115,7 +115,7 @@ class RequireResult(ResultModel):
 
 @dataclass(frozen=True)
 class Requirements:
-    """The result of `bench require`; its text also names the largest acceleration, if any, and errors left out."""
+    """The result of `bench require`; its text also has the largest acceleration (g) and uncounted errors."""
 
     result: RequireResult
     up_to_g: float | None
@@ -194,7 +194,7 @@ class GoalPart(ResultModel):
 
 
 class PointPart(ResultModel):
-    """A setting of the head."""
+    """A planned setting of the head: mounting, pass, point, angle, and direction of approach."""
 
     installation: str
     series: int
@@ -257,7 +257,7 @@ class PlannedPoints:
     """The result of `bench plan-points`, with additional data for its text.
 
     `paper_settings` is the number of settings in the paper's procedure. `learned` says whether the bench has a
-    learned file, which the plan does not use. `time` is the permitted bench time, None without one.
+    file of learned errors, which the plan does not use. `time` is the permitted bench time, None without one.
     """
 
     result: PlanPointsResult

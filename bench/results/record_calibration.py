@@ -38,7 +38,7 @@ class ValuePart(ResultModel):
 
 
 class RecordChannelPart(ResultModel):
-    """The calibration of a channel."""
+    """Gain, offset, drift and noise of a channel, and the residuals of their fit."""
 
     gain: ValuePart | None = Field(description="gain, V/V; null if the reference stays at 0 V")
     offset_v: ValuePart | None = Field(description="offset, V; null if the reference has a single level")
@@ -51,7 +51,7 @@ class RecordChannelPart(ResultModel):
 
 
 class RecordCalibrateResult(ResultModel):
-    """The calibration of meters from a record at a known input (rows R alone): U = gain × reference + offset."""
+    """The calibration of voltmeters that read a known reference voltage: U = gain × reference + offset."""
 
     estimator: Literal["gls"]
     unit: Literal["V"]
@@ -76,7 +76,7 @@ class RecordCalibrateResult(ResultModel):
 def record_calibrate_result(
     found: RecordCalibration, model: str, skipped_rows: Sequence[str], made_from: Mapping[str, Any]
 ) -> RecordCalibrateResult:
-    """Return the result; `made_from` holds the members source, bench, date and certificates."""
+    """Return the result; `made_from` has source, bench, made_at, simulated and corrections."""
     names = ("source", "bench", "made_at", "simulated", "corrections")
     return RecordCalibrateResult(
         estimator="gls", unit="V", level_v=found.level_v, not_observable=list(found.not_observable), model=model,

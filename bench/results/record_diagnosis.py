@@ -51,7 +51,7 @@ class RecordNoisePart(ResultModel):
 
 
 class RecordDiagnoseResult(AloneResult):
-    """A diagnosis of a record at a known input (rows R alone)."""
+    """A diagnosis of a record in which voltmeters read a known reference voltage (rows R alone)."""
 
     effects: list[EffectPart]
     rivals: list[Rival]
@@ -99,7 +99,7 @@ def what_in_words(found: RecordDiagnosis) -> str:
 
 
 def gap_told(found: RecordDiagnosis) -> str:
-    """Return the misfit of held-out excursions without and with the effects found; "" if none were held out."""
+    """Return the misfit of held-out parts of the record without and with effects; "" without such parts."""
     gap = found.gap
     if not gap.folds:
         return ""
@@ -111,7 +111,7 @@ def gap_told(found: RecordDiagnosis) -> str:
 
 
 def rivals_told(found: RecordDiagnosis) -> str:
-    """Return in words which rival response predicts held-out excursions best; "" if there are no rivals."""
+    """Return which response to the meter's temperature best predicts held-out parts; "" if not compared."""
     if not found.rivals:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
@@ -120,7 +120,7 @@ def rivals_told(found: RecordDiagnosis) -> str:
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
-    """Yield a line on each channel: zero, drift, and the residuals before and after the effects found."""
+    """Yield a line on each channel: zero, drift, and the residuals without and with the effects found."""
     for fit in found.fits:
         zero, drift = (
             concise(1e6 * value, 1e6 * u)

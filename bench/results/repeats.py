@@ -79,7 +79,7 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
 
 
 class HeldOutByRecord(ResultModel):
-    """Zeros of held-out records, predicted from the other records: their scatter divided by the stated u."""
+    """Biases (zeros) of held-out records: scatter about the prediction by other records, over stated u."""
 
     by: Literal["record"]
     before: Real = Field(description="ratio for constant zeros")
@@ -87,7 +87,7 @@ class HeldOutByRecord(ResultModel):
 
 
 class BetweenRecordsPart(ResultModel):
-    """The changes of the zeros from record to record, if each record is fitted alone."""
+    """The changes of the biases (zeros, in g) from record to record, if each record is fitted alone."""
 
     ratio: Real = Field(description="scatter of the zeros divided by their stated u")
     repeats: RepeatsPart
@@ -104,7 +104,7 @@ class BetweenRecordsPart(ResultModel):
 
 
 def between_part(found: BetweenRecords) -> BetweenRecordsPart:
-    """Return the part of a result on the zeros in several records of free positions."""
+    """Return the part of a result on the biases (zeros) in several records of free positions."""
     repeats = found.repeats
     before = np.nan if repeats.held_before is None else repeats.held_before.value
     return BetweenRecordsPart(
@@ -125,6 +125,6 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 
 
 def repeats_between(between: BetweenRecords) -> str:
-    """Return a sentence on how zeros scatter between records, and on the term that must be added to their u."""
+    """Return a sentence on how biases (zeros) scatter between records, and the term to add to their u."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
     return repeats_told(between.repeats, "between records", sizes)

@@ -17,7 +17,7 @@ DIGITS: Final = 6
 
 
 class ReadingPart(ResultModel):
-    """A reading: its place, time, conditions, and the standard deviation of its noise."""
+    """A fitted reading: its place, direction, head angle and time, and its standard deviation by channel."""
 
     installation: str
     series: int
@@ -70,7 +70,7 @@ def residuals_of(calibration: Calibration) -> list[list[float]]:
 
 
 def compared_residuals(shown: ModelComparison) -> ResidualsPart:
-    """Return the residuals from the models before and after a diagnosis, and those of the simulated bench."""
+    """Return the residuals without and with the effects found, and those of one simulated run."""
     before = shown.before.calibration
     after = None if shown.after is None else residuals_of(shown.after.calibration)
     signal, given = _rows(before.fitted.signal, 9), residuals_of(before)

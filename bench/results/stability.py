@@ -63,7 +63,7 @@ class ReadingPart(ResultModel):
 
 
 class StabilityResult(ResultModel):
-    """The Allan deviation of a record at rest, and the recommended reading."""
+    """The Allan deviation of a record at rest, and the recommended settings of a reading."""
 
     source: str
     unit: str = Field(description="unit of the signals")

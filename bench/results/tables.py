@@ -244,7 +244,7 @@ def effects(calibration: Calibration) -> list[Row]:
 
 
 def verification(result: Verification) -> list[Row]:
-    """Return the verification points: angle, modulus, Δg, u, U, part of the limit, risks, statement."""
+    """Return a row for each verification point: angle, modulus, Δg, u, U, |Δg|/limit, risks, statement."""
     scale = scale_for(result.limit_g, "g")
     return [
         Row(
@@ -284,7 +284,7 @@ def free(calibration: Calibration) -> tuple[str, list[Row]] | None:
 
 
 def outliers(calibration: Calibration) -> list[Row]:
-    """Return a row for each outlier: reading, place, channel, error, its unit, error/u, weight in the fit."""
+    """Return a row for each outlier: row number, place, channel, error, unit, error/u, weight in the fit."""
     return [
         Row(
             str(o.row),
@@ -331,10 +331,7 @@ def readings(calibration: Calibration) -> tuple[str, list[Row]]:
 
 
 def sources(calibration: Calibration) -> dict[str, Any]:
-    """Return rows and units of the table of error sources that readings do not show, and u of gravity.
-
-    The dict is empty if there are no such sources.
-    """
+    """Return rows and units of a table of sources that readings do not show, and u of gravity; {} if none."""
     if not calibration.sources:
         return {}
     largest = max(float(u_of(s.covariance).max()) for s in calibration.sources)

@@ -62,7 +62,7 @@ class AxisPart(ResultModel):
 
 
 class TumbleNoisePart(ResultModel):
-    """The noise, as standard deviations."""
+    """The standard deviations of a reading and of a setting of the head, and their source."""
 
     reading_v: float
     setting_arcsec: float
@@ -111,7 +111,7 @@ class TumbleResult(ResultModel):
 
 
 def tumble_result(view: TumbleView, **made_from: Any) -> TumbleResult:
-    """Return the result of a tumble; `made_from` holds the members of `TumbleResult` from `source` on."""
+    """Return the result of a tumble; `made_from` has the fields of `TumbleResult` from `source` on."""
     return TumbleResult.from_object(
         view,
         k=K,

@@ -1,4 +1,4 @@
-"""The result of `bench validate`: its checks, the installation that they prove, and its page."""
+"""The result of `bench validate`: its checks, the program and the bench that they cover, and its page."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class PackagePart(ResultModel):
 
 
 class ProgramFingerprint(ResultModel):
-    """The program, packages and Python for which a validation holds; a change of one needs another."""
+    """The program, packages and Python that a validation covers; any change requires a new validation."""
 
     fingerprint: str = Field(description="SHA-256 of all other members")
     version: str
@@ -61,7 +61,7 @@ class ProgramFingerprint(ResultModel):
 
 
 class ValidatedBench(ResultModel):
-    """The bench file of a validation."""
+    """The bench file of a validation, and the laboratory's own drivers and effects for it."""
 
     name: str
     file: str
@@ -82,7 +82,7 @@ class ChangedRun(ResultModel):
 
 
 class AgainstPart(ResultModel):
-    """A comparison of past runs: computed again and as stored."""
+    """Past runs whose results were computed again and compared with the stored results."""
 
     over: list[str]
     runs: int
@@ -93,7 +93,7 @@ class AgainstPart(ResultModel):
 
 
 class ValidationResult(ResultModel):
-    """The result of `bench validate`; `passed` is true if no check failed and no change is still to be accepted."""
+    """The result of `bench validate`; `passed` is true if all checks passed, those on changes included."""
 
     passed: bool
     quick: bool
@@ -114,12 +114,12 @@ class ValidationResult(ResultModel):
 
     @property
     def failed(self) -> list[ValidationCheck]:
-        """The failed checks, without those that report a change, which a person may still accept."""
+        """The failed checks, except those that report a change, because a person may accept the change."""
         return [one for one in self.checks if not one.passed and not one.change]
 
     @property
     def changes(self) -> list[ValidationCheck]:
-        """The changes that are still to be accepted."""
+        """The checks that report a change, which a person must still accept."""
         return [one for one in self.checks if not one.passed and one.change]
 
     @property
@@ -178,7 +178,7 @@ def families(checks: Iterable[ValidationCheck]) -> list[tuple[str, list[Validati
 
 
 def acts(rows: Iterable[ValidationCheck]) -> list[tuple[str, list[ValidationCheck]]]:
-    """Return what each check function did, in words, with the function's `rows`, in order."""
+    """Return each sentence on what was tested, with the checks in `rows` that it describes, in order."""
     return [(did, list(own)) for did, own in groupby(rows, key=lambda row: row.did)]
 
 

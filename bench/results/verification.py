@@ -19,7 +19,7 @@ from bench.results.parts import BenchPart, Corrections
 
 
 class PointPart(ResultModel):
-    """A verification point."""
+    """A verification point: its Δg with u, the risks of the decision, and the statement of conformity."""
 
     angle_deg: float = Field(description="angle of the head, deg")
     pass_number: int = Field(alias="pass")
@@ -49,7 +49,7 @@ class GlobalRiskPart(ResultModel):
 
 
 class RulePart(ResultModel):
-    """The limit of Δg at the verification points, and the rule of the decision."""
+    """The limit of |Δg| at the verification points, and the decision rule."""
 
     limit_g: float = Field(description="limit of |Δg|, local g")
     rule: Literal["simple acceptance", "guarded", "non-binary"] = Field(description="decision rule")
@@ -106,7 +106,7 @@ class ReportResult(ResultModel):
 
 
 def verdict_members(found: Verification) -> dict[str, Any]:
-    """Return the members of `VerdictPart` that `Verification` has under another name or must compute."""
+    """Return the members of `VerdictPart` that are not simply attributes of `Verification`."""
     risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
     return {
         **found.decision.to_json(),
@@ -119,7 +119,7 @@ def verdict_members(found: Verification) -> dict[str, Any]:
 
 
 def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
-    """Return the result of a verification; `made_from` holds the members of `VerifyResult` from `notes` on."""
+    """Return the result of a verification; `made_from` has notes, warnings, bench and corrections."""
     return VerifyResult.from_object(found, **verdict_members(found), **made_from)
 
 
@@ -176,7 +176,7 @@ _MOST: Final = 2
 
 
 def headline(result: Verification, *, upper: bool = False) -> str:
-    """Return the verdict in a few words; for a conditional pass, they say if the decision rule accepts it."""
+    """Return the verdict in a few words; a conditional pass also states whether the rule accepts it."""
     word = HEADLINES[result.statement]
     word = word.upper() if upper else word
     if result.statement is Statement.CONDITIONAL_PASS:

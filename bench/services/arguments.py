@@ -1,4 +1,4 @@
-"""Checks of the arguments of public functions: a sentence refuses an argument of the wrong kind."""
+"""Checks of the arguments of public functions; an argument of the wrong kind raises `Refused`."""
 
 from __future__ import annotations
 

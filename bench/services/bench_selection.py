@@ -1,4 +1,4 @@
-"""The origin of readings, and the bench file that an analysis uses for them, with the reason for it."""
+"""The origin of readings, the bench file that an analysis uses for them, and the reason for this choice."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ _NONE_NAMED: Final = "the shipped one, because no file was named"
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file of an analysis; `why` it was chosen now, and why it was `chosen` when the run began."""
+    """The bench file of an analysis; `why` it was chosen, and (`chosen`) why its run was begun with it."""
 
     file: BenchFile
     where: str
@@ -233,7 +233,7 @@ class BenchTaken:
 
     @property
     def learned_path(self) -> Path | None:
-        """Path of the learned file that the bench file names, or of the run's copy; None if it names none."""
+        """Path of the file of learned errors that the bench file names, or of the run's copy; or None."""
         if self.file.learned is None:
             return None
         own = Path(self.where)
@@ -241,7 +241,7 @@ class BenchTaken:
         return copy if own.name == BENCH and copy.is_file() else own.parent / self.file.learned
 
     def learned(self) -> LearnedFile | None:
-        """Return the learned file of the bench; None if the bench file names none. Raises `FileMistakes`."""
+        """Return the learned file that the bench file names, or None. Raises `FileMistakes`."""
         path = self.learned_path
         return None if path is None else load_learned(path, self.file)
 
@@ -262,7 +262,7 @@ class BenchTaken:
 
 
 def bench_path(given: str | Path | BenchFile | None) -> Path:
-    """Return the path of the bench file to use: `given`, else that in BENCH_FILE, else the shipped one."""
+    """Return the path of the bench file to use: `given`, else $BENCH_FILE, else that of the shipped file."""
     return find_bench(str(given or "") or os.environ.get("BENCH_FILE") or DEFAULT_BENCH)
 
 
@@ -274,7 +274,7 @@ def why_taken(given: str | Path | BenchFile | None) -> str:
 
 
 def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchTaken:
-    """Return the bench file `given` (as content, path or name), else that in BENCH_FILE, else the shipped one."""
+    """Return the bench file `given` (content, path or name), else $BENCH_FILE, else the shipped one."""
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):

@@ -44,7 +44,7 @@ class Body:
 
     @property
     def sha256(self) -> tuple[str, ...]:
-        """The SHA-256 hashes of the readings in the body."""
+        """The SHA-256 of the readings of each source."""
         return tuple(data_sha256(source.as_read) for source in self.sources)
 
     def output(self, suffix: str, number: int | None = None) -> Path:
@@ -169,7 +169,7 @@ class _Named:
 
 
 def put_right(source: Source) -> tuple[Readings, tuple[Mistake, ...]]:
-    """Correct a source's readings for mistakes that the early warning found; return readings and mistakes."""
+    """Correct readings for mistakes that the run's early warning found; return readings and mistakes."""
     run, readings = source.run, source.readings
     if run is None or run.imported or not run.history.progress.signs:
         return readings, ()

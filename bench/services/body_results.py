@@ -76,8 +76,8 @@ class BodyResult(ABC):
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write all files of `bench diagnose`; return the result with their paths.
 
-        With `accept_first`, the model file of a tie contains its likeliest effect. `not_written` notes each file
-        that cannot be written; if an output folder was requested, `OSError` is raised instead.
+        With `accept_first`, the verdict "confounded" may give a model file, too, with the likeliest effect.
+        `not_written` notes files that cannot be written; if `out` was requested, `OSError` is raised instead.
         """
 
     def __repr__(self) -> str:
@@ -140,7 +140,7 @@ def write_content(path: Path, content: str) -> Path:
 
 
 def write_copy(body: Body, mistakes: Sequence[Mistake], corrected: Readings, path: Path) -> Path:
-    """Write readings free of mistakes but without instrument corrections, and any origin file; return the path."""
+    """Write readings free of mistakes and of instrument corrections, and any origin file; return the path."""
     source = body.source
     content = format_csv(as_read(corrected, source.traced.by))
     write_content(path, content)

@@ -208,7 +208,10 @@ class CalibrationResult:
 
     @cached_property
     def intrinsic(self) -> Intrinsic | None:
-        """The nine intrinsic numbers, with `values`, `u`, `U`, `covariance` (9, 9); None if a channel is dead."""
+        """The nine intrinsic numbers, with `values`, `u`, `U` and `covariance` (9, 9).
+
+        None if a row of K is zero, or if two rows are parallel.
+        """
         return intrinsic_of(self.calibration)
 
     @property
@@ -279,7 +282,7 @@ class CalibrationResult:
 
     @property
     def strictly_accepted(self) -> bool:
-        """As `accepted`, but with 0.01 in place of 1e-4, and there must be no `doubts`."""
+        """Whether there are no `doubts`, and `accepted` is also true with 0.01 in place of 1e-4."""
         return not self.doubts and self.calibration.lack_of_fit.accepted(strict=True)
 
     def to_dict(self) -> dict[str, Any]:
@@ -440,7 +443,7 @@ def verification_of(
     """Verify a source with coefficients from a file, from a calibration, or (None) from these same readings.
 
     The options `asked` replace those of run and bench file. The decision rule is `agreed` if neither options, run
-    nor bench file name one.
+    nor bench file name one. Raises `Refused` for unsuitable options or coefficients, `CalibrationError`.
     """
     from bench.services.verification import judged, own_judgement, unsuitable  # takes long to import
 

@@ -229,7 +229,7 @@ def _temperature(data: Any) -> str:
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:
-    """Raise `Refused` for a result corrected for temperature, unless `without` is true: no form can hold this."""
+    """Raise `Refused` for results corrected for temperature, which no form can state, unless `without`."""
     for result in results:
         if result.temperature and not without:
             raise Refused(

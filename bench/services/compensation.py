@@ -62,7 +62,7 @@ def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> Temperat
 
 @dataclass(frozen=True)
 class Compensation:
-    """Coefficients over temperature, with table and verdicts; of the sources `names`, `source` is the first."""
+    """Coefficients over temperature from sources `names` (first: `source`), with table and verifications."""
 
     source: Source
     names: tuple[str, ...]
@@ -72,7 +72,7 @@ class Compensation:
     result: CompensateResult
 
     def accepted(self, *, strict: bool) -> bool:
-        """Whether all verdicts passed, and model and polynomials fit the readings."""
+        """Whether all verifications passed, and model and polynomials fit (p ≥ 1e-4; if `strict`, 0.01)."""
         tests = [self.model.fitted, *([self.model.curve] if self.model.curve else [])]
         return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
 

@@ -83,7 +83,7 @@ class Conclusion:
 
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
-    """Compute and write the results of a finished run. Raises `Refused` after a signal; see `bench resume`."""
+    """Compute and write a finished run's results. Raises `Refused` if a signal or an `OSError` stops it."""
     kept = f"all readings are kept in {run.folder}"
     again = (
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "

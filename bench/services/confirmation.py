@@ -35,7 +35,7 @@ class ConfirmationResult:
 
     @property
     def closed(self) -> float | None:
-        """The closed fraction of the gap: (before - after)/(before - 1) in reduced chi-square; None without gap."""
+        """The fraction of reduced chi-square above 1 that the effects remove; None without such an excess."""
         return self.found.closed
 
     @property
@@ -45,7 +45,10 @@ class ConfirmationResult:
 
     @property
     def confirmed(self) -> bool:
-        """Whether every effect that the readings show agrees with the model (verdict "confirmed")."""
+        """Whether the verdict is "confirmed": all effects that the readings can show are unchanged.
+
+        They must also remove half of the excess of reduced chi-square, unless chance explains the rest.
+        """
         return self.found.verdict == "confirmed"
 
     @property
@@ -81,7 +84,7 @@ class ConfirmationResult:
         ).to_dict()
 
     def print_on(self, out: Console) -> None:
-        """Print each effect's values in the model and in the new readings, and how far the model closes the gap."""
+        """Print each effect's values in the model and in the new readings, and how far the misfit falls."""
         print_confirmation(self.source.name, self.found, list(self.notes), out)
 
     def __repr__(self) -> str:

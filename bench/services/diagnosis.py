@@ -74,7 +74,7 @@ class MistakesResult(BodyResult):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisResult(ResultWithPage):
-    """Where readings and model disagree, which effect is missing, and how far this effect closes the gap.
+    """Where readings and model disagree, which effect is missing, and its test on held-out readings.
 
     result = bench.diagnose("unit-17")
     result.write_model("found.yaml")
@@ -85,12 +85,12 @@ class DiagnosisResult(ResultWithPage):
 
     @property
     def diagnosis(self) -> Diagnosis:
-        """The verdict and its evidence: places, effects, mistakes, the gap."""
+        """The verdict and its evidence: patterns of residuals, effects, mistakes, and held-out readings."""
         return self.found.diagnosis
 
     @property
     def verdict(self) -> str:
-        """The verdict: "agrees", "mistake", "named", "confounded" (a tie, or not confirmed) or "unknown"."""
+        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed), "unknown"."""
         return self.diagnosis.verdict
 
     @property
@@ -124,7 +124,7 @@ class DiagnosisResult(ResultWithPage):
             text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
-        """Return whether there are effects or unnamed terms to write; with `accept_first`, also those of a tie."""
+        """Return whether a model can be written; `accept_first` permits one for the verdict "confounded"."""
         form = self.diagnosis.form
         there = _named(self.diagnosis, accept_first=accept_first) or (form is not None and form.applied)
         return bool(there) and self.found.shown.after is not None
@@ -199,11 +199,11 @@ class DiagnosisAlone(ResultWithPage):
 
     @property
     def verdict(self) -> str:
-        """The verdict: "agrees", "mistake", "named", "confounded" (a tie, or not confirmed) or "unknown"."""
+        """Verdict: "agrees", "mistake", "named", "confounded" (several fit or none confirmed), "unknown"."""
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write: one file, or one for each sensor; may be empty."""
+        """Return the effects of each model file to write: one, or one for each sensor; [] without names."""
         if not _named(self.found, accept_first=accept_first):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]
@@ -287,7 +287,7 @@ class DiagnosisAlone(ResultWithPage):
 
 
 class RecordDiagnosisResult(DiagnosisAlone):
-    """The diagnosis of a record at a known input: the effects on meters and reference, and the gap."""
+    """The diagnosis of a record at a known input: effects on meters and reference, test on held-out parts."""
 
     found: RecordDiagnosis
     view = "bench.results.record_diagnosis"
@@ -298,7 +298,7 @@ class RecordDiagnosisResult(DiagnosisAlone):
 
 
 class FreeDiagnosisResult(DiagnosisAlone):
-    """The diagnosis of free positions: disagreement with the model, the missing effect, and the gap."""
+    """The diagnosis of free positions: misfit of the model, missing effect, test on held-out positions."""
 
     found: FreeDiagnosis
     view = "bench.results.free_diagnosis"

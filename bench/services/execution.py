@@ -222,7 +222,7 @@ def asker_of(
 def started(
     request: RunRequest, out: Console, announce: Callable[[NewRun], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out a new run, then yield it while signals are still handled; first call `announce` with it."""
+    """Call `announce` with a new run, carry it out, and yield it with the signal handler, still active."""
     away = is_away(request.answers, panel=request.panel)
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
@@ -245,7 +245,7 @@ def started(
 def resumed(
     request: ResumeRequest, out: Console, announce: Callable[[Run], None]
 ) -> Iterator[tuple[Run, Interrupts]]:
-    """Carry out the rest of a run, then yield it while signals are still handled; first call `announce` with it.
+    """Call `announce` with a run, carry out its rest, and yield it with the signal handler, still active.
 
     A finished run that lacks results is yielded at once.
     """

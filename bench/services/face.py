@@ -168,7 +168,7 @@ class DryRun:
 
     @cached_property
     def verification(self) -> VerificationResult | None:
-        """Δg at the verification points; None if the procedure has none."""
+        """The verification by these readings; None if the procedure has no verification points."""
         return verification_of(self.source, self.calibration) if len(self.readings.verification()) else None
 
     def __repr__(self) -> str:

@@ -80,8 +80,8 @@ def refuse_contradictions(request: RunRequest) -> None:
 def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: bool) -> None:
     """Raise `Refused` for a real run by a program that is not validated, or with expired certificates.
 
-    With `expired: ask` in the bench file, expired certificates are refused only if nobody can be asked: the person
-    is not `away` (answers through the folder), and there is no terminal.
+    With `expired: ask` in the bench file, expired certificates are refused only without a terminal, unless a
+    person is `away` and can be asked through the run's folder.
     """
     refuse_unvalidated_run(bench, path, request.laboratory)
     late = expired(bench)

@@ -1,4 +1,4 @@
-"""Evaluations of several runs: of one bench (learning), of one block over time (comparison), of monitors."""
+"""Evaluations of several runs: errors of a bench (learning), comparison of calibrations, monitor runs."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `RecordError`, and `Refused` if it exists or too many runs contradict."""
+        """Write the learned file. Raises `RecordError`; `Refused` if it exists or many runs disagree."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")
@@ -445,7 +445,7 @@ def _dated(snapshots: list[Snapshot], dates: Sequence[str]) -> list[Snapshot]:
 
 @dataclass(frozen=True)
 class Monitored:
-    """The chart of a series of monitors, and the sources from which it was computed."""
+    """The control chart of monitor runs (short runs over days), and the sources of these runs."""
 
     chart: ControlChart
     sources: tuple[Source, ...]
@@ -457,18 +457,18 @@ class Monitored:
 
     @property
     def result(self) -> MonitorResult:
-        """The result for JSON."""
+        """The result as `bench monitor --json` writes it."""
         return monitor_result(self.chart, self.unit)
 
     def files(self, out: Path) -> Files:
-        """Yield description, path and text of each file in `out`."""
+        """Yield description, path and text of each file to write into the folder `out`."""
         yield "result", out / "monitor.json", to_text(self.result.to_dict())
         for name, figure in monitor_figures(self.chart, self.unit).items():
             yield "chart", out / f"monitor-{name}.svg", figure
 
 
 def monitored(request: asked.Monitor) -> Monitored:
-    """Chart monitors; the first `baseline` of them set the limits. Raises `Refused`, `CalibrationError`."""
+    """Chart monitor runs; the first `baseline` set the limits. Raises `Refused`, `CalibrationError`."""
     sources = tuple(load_sources(reading(request, *request.sources)))
     for source in sources:
         if source.made_at is None:
@@ -483,7 +483,7 @@ def monitored(request: asked.Monitor) -> Monitored:
 
 
 def check_run(source: Source) -> CheckRun:
-    """Return a monitor as a run for a chart; an unknown date becomes 1970-01-01. Raises `CalibrationError`."""
+    """Return a monitor run for a control chart; an unknown date is 1970-01-01. Raises `CalibrationError`."""
     readings = source.readings
     readings = readings.select(~np.isin(readings.installation, [*UNORIENTED]))
     force = np.zeros((0, 3))

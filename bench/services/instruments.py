@@ -1,4 +1,4 @@
-"""Instruments of a bench opened at once and identified; a commissioning session."""
+"""Instruments of a bench opened, tested and read in parallel; commissioning sessions."""
 
 from __future__ import annotations
 

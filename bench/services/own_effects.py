@@ -57,7 +57,7 @@ def knowing_effects_on_record(run: Run) -> AbstractContextManager[None]:
 
 
 def accept_terms(request: Accept) -> tuple[Path, Path]:
-    """Write an effect file with the named terms, and a model file with it; return both paths. Raises `Refused`."""
+    """Write an effect file with the named terms, and a model file using it; return both. Raises `Refused`."""
     model, name = request.model, request.name
     file = load_model(model)
     if not request.sentence:

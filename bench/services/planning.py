@@ -195,7 +195,7 @@ def _times(request: PlanPoints) -> Times:
 
 
 def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[Mounting]:
-    """Return the mountings for a plan: `visits` to each of the `installations`, by default to all of the bench."""
+    """Return `visits` mountings in each of the `installations` (None: all of the bench). Raises `Refused`."""
     known = [label for label in bench.installation_models() if label not in {VERIFICATION, *UNORIENTED}]
     labels = known
     if installations is not None:
@@ -210,7 +210,7 @@ def mountings(bench: BenchFile, installations: str | None, visits: int) -> list[
 
 
 def even_angles(bench: BenchFile, count: int) -> Floats:
-    """Return those of `count` equal steps of a turn, rad, that the head can approach from both sides."""
+    """Return the angles (m,), rad, of `count` equal steps a turn that the head can reach from both sides."""
     angles = 2 * np.pi * np.arange(count) / count
     if bench.head_limits_rad is None:
         return angles

@@ -131,8 +131,8 @@ def seal_run(request: SealRun, passphrase: Callable[[], bytes]) -> SealResult:
 def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     """Return the evidence that a record is unchanged, and the problems with it, a sentence each.
 
-    Evidence is the seal and, if the user states them, a noted head, a public key and a time-stamp authority.
-    Raises `Refused` for an invalid head, `RecordError` for a key that cannot be read.
+    Evidence is the seal and, if the user states them, the hash of the last line (head) as noted elsewhere, a
+    public key and a time-stamp authority. Raises `Refused` for an invalid head, `RecordError` for a bad key.
     """
     head, key, authority = request.head, request.key, request.authority
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:

@@ -48,7 +48,7 @@ class FoundResource:
 
 
 def offered() -> tuple[list[FoundResource], list[str]]:
-    """Return the resources that the interfaces list, and notes on unsearched interfaces; ask no resource."""
+    """Return the resources that interfaces list, and notes on unsearched interfaces; no resource is asked."""
     offer = discover()
     ports = [
         FoundResource(port.resource, f"serial port {port.device} {port.description}".rstrip())

@@ -1,4 +1,4 @@
-"""What is known of the instruments of a bench: certificates, and sizes learned from other runs."""
+"""What is known of the instruments of a bench: certificates, and errors learned from other runs."""
 
 from __future__ import annotations
 
@@ -239,7 +239,7 @@ SIMULATED: Final = "the sizes of learned file {bench} come from simulated runs"
 
 @dataclass(frozen=True)
 class LearnedTaken:
-    """What is used of a learned file, with notes; `name` identifies the voltmeter differences `meters`."""
+    """What an analysis uses of a learned file, with notes; `name` identifies the differences in `meters`."""
 
     known: KnownStand | None = None
     effects: tuple[AppliedEffect, ...] = ()

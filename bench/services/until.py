@@ -1,4 +1,4 @@
-"""Runs that continue until goals for the uncertainty are reached; what to expect of any plan."""
+"""Runs that continue until goals for the uncertainty are reached; the findings of `bench check`."""
 
 from __future__ import annotations
 
@@ -300,7 +300,7 @@ def noted_goals(manifest: Manifest, plan: Plan, bench: BenchFile, texts: Sequenc
 def outlook_until(
     plan: Plan, bench: BenchFile, texts: Sequence[str], learned: LearnedTaken = NOTHING_LEARNED
 ) -> TimeOutlook:
-    """Return the expected duration of a run with these goals, for the learned noise or else the stated noise."""
+    """Return the expected duration of a run with goals `texts`, for the learned or else the stated noise."""
     found = time_outlook(chooser_of(plan, bench, texts, learned))
     return replace(found, learned=learned.known is not None and learned.known.noise is not None)
 

@@ -179,10 +179,7 @@ class VerificationResult:
 
     @property
     def passed(self) -> bool:
-        """Whether every point was measured and accepted by the rule.
-
-        No point is accepted if the model does not fit.
-        """
+        """Whether every point was measured and accepted; no point is accepted if the model does not fit."""
         return self.verification.passed
 
     @property
