@@ -190,7 +190,7 @@ def _number_field(row: type[BaseModel], at: Place, values: Values) -> BenchField
 def number_of_rows(at: Place, values: Values) -> int:
     """Return the number of rows of a table: the number chosen in the form, else the number of rows with values.
 
-    A section with values shows at least one row.
+    A table has at least one row if its section has any value.
     """
     chosen = values.get(f"form:{dotted(at)}", "")
     if chosen.isdecimal() and len(chosen) < 3:
