@@ -337,7 +337,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return a register's content for one number or all; with `runs`, compare each certificate with its remake."""
+    """Return a register's content for one number or all; with `runs`, remake and compare certificates."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []

@@ -71,8 +71,8 @@ class Outcome:
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s: float) -> Outcome:
     """Return the outcome of a run that ended `age_s` seconds ago.
 
-    `alive` says whether a program still has the record open, `finished` whether the run reached its end. If no
-    program does and results are missing 120 s after the end (`LONGEST_RESULTS_S`), the state is "none".
+    `alive` says whether a program has the record open, `finished` whether the run reached its end. The state
+    is "none" if no program has it open and results are missing 120 s (`LONGEST_RESULTS_S`) after the end.
     """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"

@@ -224,7 +224,7 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield events added since the last call; in the middle of a long record, starts of steps are left out.
+        """Yield events since the last call; in the middle of a long record, starts of steps are left out.
 
         Raises `RecordError` if anything but new lines changed.
         """
