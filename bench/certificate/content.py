@@ -41,7 +41,7 @@ _RULES: Final = {SIMPLE: "rule_simple", GUARDED: "rule_guarded", NON_BINARY: "ru
 
 @dataclass(frozen=True)
 class Value:
-    """A result in `unit` with its standard uncertainty u, U = k u and the degrees of freedom of u."""
+    """A result in `unit`: standard uncertainty u, expanded uncertainty U = k u, degrees of freedom of u."""
 
     name: str
     value: float
@@ -54,7 +54,7 @@ class Value:
 
 @dataclass(frozen=True)
 class Values:
-    """A group of n results; `covariance` (n, n) is in the order of `values`."""
+    """A group of n results; their `covariance` (n, n) is in the order and the units of `values`."""
 
     values: tuple[Value, ...]
     covariance: Floats
@@ -142,8 +142,7 @@ class RunReference:
     """The record of the run, from which the results can be reproduced.
 
     `events` is the number of events, `head` the SHA-256 of the last event. `seal` is the seal as JSON and
-    `sealed` the time of sealing. For an unsealed run, `sealed` is empty, and `seal` is an unsigned seal made
-    from the record.
+    `sealed` its time. For an unsealed run, `sealed` is empty, and `seal` is unsigned, made from the record.
     """
 
     run: str
@@ -156,10 +155,10 @@ class RunReference:
 
 @dataclass(frozen=True)
 class RunFindings:
-    """What a run found on the unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
+    """The results of a run on a unit. `begun` and `ended` are civil times (ISO 8601), empty if unknown.
 
-    `result` and `verdict` are the complete evaluation; `verdict` is None if no verification point was
-    measured. `result_json` and `readings_csv` are the contents of the files attached to the certificate.
+    `result` is the complete calibration, `verdict` the complete verification, None if no verification point
+    was measured. `result_json` and `readings_csv` are the contents of two files attached to the certificate.
     """
 
     record: RunReference
@@ -190,7 +189,7 @@ class RunFindings:
 
 @dataclass(frozen=True)
 class Before:
-    """The certificate that a new one supersedes: `kind` is "amended" or "replaced", `sha256` that of its XML."""
+    """A superseded certificate; `kind` is "amended" or "replaced", `sha256` is the hash of its XML."""
 
     kind: str
     number: str
@@ -203,7 +202,7 @@ class Before:
 class Issue:
     """The issue of a certificate: its number, time (ISO 8601, to the second), and who authorised it.
 
-    `signed_by` is the subject of the key's X.509 certificate; it is empty for an unsigned certificate.
+    `signed_by` is the name in the signing key's X.509 certificate, empty for an unsigned certificate.
     """
 
     number: str
@@ -339,7 +338,10 @@ class Certificate:
 
 
 def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
-    """Return the overall statement of conformity, which is the worst of all, and the statement for each point."""
+    """Return the overall statement of conformity and the statement for each judged verification point.
+
+    The overall statement is the worst of these, and at best `NOT_COMPLETE` if a point could not be judged.
+    """
     points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
     missing = (Statement.NOT_COMPLETE,) if of.missing else ()
     return max((*points, *missing), key=list(Statement).index), points

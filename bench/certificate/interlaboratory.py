@@ -42,7 +42,10 @@ class _PlanPart(BaseModel):
 
 
 class Stop(_PlanPart):
-    """A stop: blind `code`, laboratory, whether it is the `pilot`, and the result's seal (empty until sealed)."""
+    """A stop of the travelling block at a `laboratory`, for one calibration under a blind `code`.
+
+    `pilot` says whether this is the pilot laboratory; `seal` is the result's SHA-256, empty before sealing.
+    """
 
     code: str
     laboratory: str
@@ -52,7 +55,7 @@ class Stop(_PlanPart):
 
 
 class Kit(_PlanPart):
-    """The plan of a comparison: the block and its stops in order."""
+    """The plan of a comparison: the travelling block and its stops at the laboratories, in order."""
 
     kit_file: Literal[1] = 1
     block: str
@@ -69,7 +72,7 @@ class Kit(_PlanPart):
 
 
 def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
-    """Return the plan: the first laboratory (the pilot) measures first, after every two others, and last.
+    """Return the plan: the first laboratory (the pilot) measures first, after every two other ones, and last.
 
     The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer than
     three laboratories, or a name given twice.
@@ -120,7 +123,10 @@ def seal_of(result: str) -> str:
 
 
 def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
-    """Return the plan with seals of the results `given` by code. Raises `Refused` if a code has another seal."""
+    """Return the plan with a seal for each result in `given`, which maps codes to files or seals.
+
+    Raises `Refused` for an unknown code, or for one that is sealed with another result.
+    """
     for code in given:
         if kit.stop(code).seal not in {"", seal_of(given[code])}:
             raise Refused(
@@ -137,12 +143,12 @@ def evaluate_kit(
     g_m_s2: float | None = None,
     checks: Mapping[str, Sequence[str]] | None = None,
 ) -> KitResult:
-    """Return the evaluation of the results `given` by code.
+    """Return the comparison of the laboratories; `given` has the path of each stop's result by code.
 
     A result is a file of `calibrate --json`, or a DCC (XML, PDF) of any program. `g_m_s2` is the local gravity
-    (m/s²) of certificates that do not state it. `checks` are the monitor runs at each stop, by code, in order of
-    time. If the block changed significantly between monitor runs or between the pilot's stops, the u of each
-    difference is widened. Raises `Refused` if a seal is missing or broken, or a stop has no result.
+    (m/s²) for DCCs that do not state it. `checks` has the runs of a monitor procedure at each stop, by code,
+    in order of time. If these runs or the pilot's results show a significant change of the block, the u of
+    each difference is widened. Raises `Refused` if a seal is missing or broken, or a stop has no result.
     """
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
@@ -276,8 +282,8 @@ def kit_sealed(request: SealKit) -> Kit:
 def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    The nine numbers that do not depend on the mounting are compared. Results and checks are given as CODE=FILE.
-    Raises `Refused` if a seal is missing or broken, or a stop has no result.
+    Sensitivities, offsets and angles between the axes are compared, since the mounting does not change them.
+    Results and checks are given as CODE=FILE. Raises `Refused` for a missing result or a bad seal.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 
@@ -288,6 +294,6 @@ kit_evaluate = python_call(EvaluateKit, kit_evaluated, "kit_evaluate")
 
 
 def files_of(result: KitResult, out: Path) -> Iterator[tuple[str, Path, str]]:
-    """Yield description, path and text of the result and the report in the folder `out`."""
+    """Yield description, path in the folder `out` and text of two files: the result and the report."""
     yield "result", out / "kit.json", to_text(result.to_dict())
     yield "report", out / "kit.html", render_kit(result)

@@ -1,8 +1,7 @@
 """Laboratory files (who calibrates), order files (who ordered what), and the texts of a certificate.
 
 To show a new field of these files on the certificate, mark it with `OnCertificate` and add a text with the
-field's name as its key to `words.yaml`. The field then appears on the page that the mark names, and in the
-DCC as a statement.
+field's name as its key to `words.yaml`. The field then appears on the marked page, and in the DCC.
 """
 
 from __future__ import annotations
@@ -100,7 +99,7 @@ class StatedField:
 def stated_fields(
     laboratory: Laboratory | None, unit: UnitOrder | None, order: Order | None
 ) -> Iterator[StatedField]:
-    """Yield a `StatedField` for each field marked with `OnCertificate`; it has no texts if not stated."""
+    """Yield a `StatedField` for each field marked with `OnCertificate`; a field not stated has no texts."""
     for model, file in ((Laboratory, laboratory), (UnitOrder, unit), (Order, order)):
         for name, field in (type(file) if file else model).model_fields.items():
             for place in (one for one in field.metadata if isinstance(one, OnCertificate)):
@@ -215,7 +214,7 @@ class Laboratory(Contact, StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a mistake for each entry of `texts` whose key no certificate uses."""
+        """Yield place and mistake for each entry of `texts` whose key no certificate uses."""
         stated = part(data, "texts")
         for language in stated if isinstance(stated, dict) else ():
             own = stated[language]
@@ -237,7 +236,7 @@ class Laboratory(Contact, StatedRule):
         return self._logo or (None if self.logo is None else self._file.parent / self.logo)
 
     def number(self, count: int, year: int, *, simulated: bool) -> str:
-        """Return the number of the `count`-th certificate of a year, such as "2026-0003"."""
+        """Return the `count`-th certificate number of a year, such as "2026-0003"; "SIM-…" if `simulated`."""
 
         def filled(field: re.Match[str]) -> str:
             return f"{year if field[1] == 'year' else count:0{field[2] or 1}d}"
@@ -247,7 +246,7 @@ class Laboratory(Contact, StatedRule):
     def authorised_person(self, name: str, option: str = "--authorised-by") -> Person:
         """Return the person `name` if that person may authorise, else raise `Refused`.
 
-        The register of persons decides; if there is no register, this file does.
+        The register of persons decides; without one, this file does. The error message names `option`.
         """
         from bench.services.persons import authorised_by
 
@@ -359,7 +358,7 @@ class Order(StatedRule):
 
     @classmethod
     def cross_checks(cls, data: Any) -> Iterable[tuple[Place, str]]:
-        """Yield a mistake for each unit that is listed twice."""
+        """Yield place and mistake for each unit that is listed again."""
         units = part(data, "units")
         seen: set[object] = set()
         for place, unit in enumerate(units if isinstance(units, list) else ()):
@@ -373,7 +372,7 @@ class Order(StatedRule):
                 seen.add(serial)
 
     def unit(self, serial: str) -> UnitOrder | None:
-        """Return the entry for a serial number, or else the entry that applies to all units."""
+        """Return the entry for a serial number, else the entry for all units; None if there is neither."""
         named = next((unit for unit in self.units if unit.serial == serial), None)
         return named or next((unit for unit in self.units if unit.serial is None), None)
 

@@ -117,8 +117,7 @@ def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
 def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
     """Write a draft certificate for each run, and yield the outcomes.
 
-    A draft has no number. It is `certificate-draft.pdf` in the run's folder, or a file with the run's name in
-    `out`.
+    A draft has no number. It is written in the run's folder, or with the run's name into the folder `out`.
     """
     laboratory = None if request.laboratory is None else load_laboratory(request.laboratory)
     order = None if request.order is None else load_order(request.order)
@@ -254,7 +253,7 @@ def _write(
 
 
 def bodies_of(certificate: Certificate, schemas: etree.XMLSchema | None = None) -> Bodies:
-    """Return the unsigned forms of a numbered certificate. Raises `Refused` if the XML breaks rules or schemas."""
+    """Return a certificate's unsigned XML and PDF. Raises `Refused` if the XML breaks rules or schemas."""
     from bench.certificate.dcc.document import document_of
     from bench.certificate.dcc.rules import against_schemas, broken_rules
 
@@ -290,7 +289,7 @@ def signed(
 
 
 def made_again(register: Register, number: str, runs: Path) -> Bodies:
-    """Make the unsigned forms of a certificate again. Raises `Refused` if the record or a stored input changed."""
+    """Remake a certificate's unsigned XML and PDF. Raises `Refused` if record or stored inputs changed."""
     entry = issued(register, number).entry
     kept = entry.data["made_from"]
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
@@ -338,7 +337,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
 
 
 def register_result(register: Register, number: str | None, runs: Path | None) -> RegisterResult:
-    """Return a register's content for one number or all; with `runs`, remake each certificate and compare it."""
+    """Return a register's content for one number or all; with `runs`, remake and compare certificates."""
     numbers = list(register.standings) if number is None else [issued(register, number).entry.number]
     problems = [problem for problem in register.damaged_files() if number is None or f"{number}." in problem]
     rows = []
@@ -386,7 +385,10 @@ def _same(register: Register, number: str, runs: Path, problems: list[str]) -> b
 
 
 def handed_out(register: Register, number: str, folder: Path) -> list[Path]:
-    """Copy the issued files of a certificate into a folder; return the copies. Raises `Refused`, `OSError`."""
+    """Copy the issued files of a certificate into a folder; return the paths of the copies.
+
+    Raises `Refused` for an unknown number, a changed file or the register's own folder; `OSError` on failure.
+    """
     entry = issued(register, number).entry
     contents = {name: register.file(name) for name in entry.files}
     if folder.absolute() == register.folder.absolute():

@@ -137,7 +137,6 @@ def _days(certificate: Certificate) -> str:
 
 
 def _matrix(write: Writer) -> Block:
-    """Return the table of K and U0, with a row for each channel."""
     values = write.certificate.found.coefficients
     rows: list[list[Cell]] = []
     for channel in "xyz":
@@ -199,9 +198,9 @@ _NO_SIGN: Final = re.compile(r'the text `"(.+?)"` could not be displayed')
 
 
 def body_of(certificate: Certificate, dcc: bytes) -> bytes:
-    """Return the PDF/A-3b of a certificate with its attachments.
+    """Return the PDF/A-3b of a certificate with its attachments; `dcc` is the XML, empty for a draft.
 
-    Raises `Refused` for a bad logo or a missing glyph.
+    Raises `Refused` for a bad logo, or for a character that the fonts lack.
     """
     return typeset_pdf(_inputs(certificate, dcc), _moment(certificate))
 
@@ -224,7 +223,10 @@ def _inputs(certificate: Certificate, dcc: bytes) -> dict[str, str]:
 
 
 def typeset_pdf(data: dict[str, str], moment: int, template: bytes | None = None) -> bytes:
-    """Return the PDF of a template, by default that of certificates, made at `moment` (s since 1970)."""
+    """Return the PDF/A-3b that a Typst template makes of `data`, dated `moment` (s since 1970).
+
+    `template` is that of certificates by default. Raises `Refused` for a character that the fonts lack.
+    """
     import typst
 
     try:

@@ -115,7 +115,6 @@ class Register(Chain):
         return True
 
     def _put_in_place(self, entry: Entry) -> None:
-        """Rename the temporary files of a certificate to their final names."""
         for name in entry.files:
             (self.folder / (name + _PART)).replace(self.folder / name)
         sync_folder(self.folder)
@@ -133,8 +132,9 @@ class Register(Chain):
 
 
 def opened(folder: Path, known: Register | None = None) -> AbstractContextManager[Register]:
-    """Return a context manager that locks and yields the register of a folder, or `known`.
+    """Return a context manager that locks, reads and yields the register of a folder.
 
-    A missing folder is created. Raises `Refused` if another program has locked the register, or if it is damaged.
+    `known` is this register as read before, if any. A missing folder is created. Raises `Refused` if another
+    program has locked the register, or if the register is damaged or cannot be written.
     """
     return chain.opened(known or Register(folder))

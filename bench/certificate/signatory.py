@@ -316,8 +316,7 @@ def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Seque
     """Return why a signer's certificate is not trusted at time `when`; "" if it is.
 
     A certificate is trusted if `trusted` contains it or a certificate under which it was issued. `chain`
-    starts with the signer's certificate; further certificates may link the signer to `trusted`. Revocation is
-    not checked.
+    starts with the signer's certificate; others may link it to `trusted`. Revocation is not checked.
     """
     own = chain[0]
     if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:

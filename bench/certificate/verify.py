@@ -105,7 +105,7 @@ class Findings:
 def verify_certificate(
     file: Path, trust: Path | None, runs: Path, register: Path | None = None
 ) -> VerifyResult:
-    """Verify a certificate (PDF or XML), and its other form in the same folder.
+    """Verify a certificate (PDF or XML) and, if it is in the same folder, its other form (XML or PDF).
 
     `trust` contains the certificates (PEM) of trusted signers or authorities. `register` is the folder of the
     laboratory's register; if it is None, a register in the folder of `file` is used. Raises `Refused` for a file
@@ -151,7 +151,6 @@ def verify_certificate(
 
 
 def _headline(unsigned: bool, distrust: str | None, signer: str, standing: RegisterSays | None) -> str:
-    """Return the verdict on an intact certificate in one line."""
     if unsigned:
         issued = standing is not None and standing.vouches
         words = "not signed" + (", unchanged since it was issued" if issued else "")
@@ -415,9 +414,9 @@ def against_register(
 ) -> RegisterSays | None:
     """Compare a certificate file's `content` with the register's entry for `number`; return the entry's state.
 
-    `folder` is the register's folder. If it is None, a register in the folder of `file` is used; the result is None
-    if that register is missing or lacks the number. Raises `Refused` for a register that is damaged or cannot be
-    read.
+    `folder` is the register's folder. If it is None, a register in the folder of `file` is used; the result
+    is None if that register is missing or lacks the number. If a register in `folder` lacks it, the state is
+    "unknown". Raises `Refused` if `folder` has no register, or if the register is damaged or unreadable.
     """
     place = file.absolute().parent if folder is None else folder
     if not (place / LINES).is_file():

@@ -228,7 +228,7 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return an ASGI `receive` that drops the body of a GET or HEAD request, as event streams read it too late."""
+    """Return an ASGI `receive` that empties a GET or HEAD body, which event streams would read too late."""
 
     async def dropped() -> Message:
         got = await receive()
@@ -272,8 +272,7 @@ def is_held(lock: FileLock) -> bool:
 class KeptList:
     """A list of JSON objects in a file with a lock, so that several programs can change it.
 
-    `path` is the path of the file. `remedy` ends the error message on a damaged file; it says what to do without
-    a copy of the file.
+    `path` is the file's path. `remedy` ends the error message on a damaged file: what to do without a copy.
     """
 
     def __init__(
@@ -303,7 +302,7 @@ class KeptList:
         return list(self._rows)
 
     def put_aside(self, now: datetime, check: Callable[[list[dict[str, Any]]], object]) -> None:
-        """Rename a damaged file, for which reading or `check(rows)` raises `RecordError`. Raises `OSError`."""
+        """Rename the file if reading it or `check(rows)` raises `RecordError`. Raises `OSError`."""
         with self._lock:
             try:
                 check(self.rows())
@@ -312,7 +311,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows for changes in place, and write them when the context ends. Raises `RecordError`."""
+        """Yield the rows to change; then write them. Raises `RecordError` if reading or writing fails."""
         try:
             with self._lock:
                 rows = self.rows()
@@ -366,7 +365,7 @@ class Access:
     # --- tokens -------------------------------------------------------------------------------------
 
     def new_token(self, name: str, role: Role) -> str:
-        """Return a new token. Raises `RecordError` if `name` has one, or a register of persons exists."""
+        """Return a new token. Raises `RecordError` if `name` has one, or if a register of persons exists."""
         self._refuse_own_tokens("change NAME --token")
         name = checked_name(name)
         token = secrets.token_urlsafe(32)
@@ -391,7 +390,10 @@ class Access:
         return [{key: row[key] for key in ("name", "role", "made")} for row in self._tokens.rows()]
 
     def revoke(self, name: str) -> None:
-        """Delete a token; end its sessions. Raises `RecordError` without one, or with a register of persons."""
+        """Delete a person's token, and end its sessions.
+
+        Raises `RecordError` if the person has no token, or if a register of persons replaces the tokens.
+        """
         self._refuse_own_tokens("end NAME")
         with self._tokens.changed() as rows:
             kept = [row for row in rows if row["name"] != name]

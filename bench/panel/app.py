@@ -245,7 +245,7 @@ OPEN_WIRE: Final = (
 
 
 def serve(settings: Settings, tell: Callable[[str], None]) -> None:
-    """Serve a panel until it is stopped; `tell` receives its address, a one-time link and network notes.
+    """Serve a panel until it is stopped; `tell` receives lines to show: address, one-time link, warnings.
 
     Raises `RecordError` if another panel serves the folder, if the address is not valid, if a panel on the network
     has no token with which to sign in, or if the port is not available.
@@ -382,7 +382,10 @@ def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
 
 
 def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
-    """Return a person's one-time link to the page `after`; start a panel if none serves. Raises `RecordError`."""
+    """Start a panel if none serves the folder; return a one-time link as `new_link` does.
+
+    Raises `RecordError` if the panel does not start, and as `new_link`.
+    """
     if not is_serving(runs):
         begin_panel(runs, laboratory=laboratory)
     return new_link(runs, after, name, laboratory)
@@ -392,7 +395,7 @@ _SLOW: Final = "starting takes too long; start the panel with 'bench panel'"
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, on the first free of `ports`. Raises `RecordError`."""
+    """Start a panel that outlives this program, on a free one of `ports`. Raises `RecordError` on failure."""
     state = private_folder(runs / STATE)
     trouble = ""
     for port in ports:

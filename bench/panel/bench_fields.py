@@ -179,7 +179,6 @@ def _fields_of(
 
 
 def _number_field(row: type[BaseModel], at: Place, values: Values) -> BenchField:
-    """Return the field for the number of rows of a table."""
     name, number = f"form:{dotted(at)}", number_of_rows(at, values)
     choices = tuple((str(one), str(one)) for one in range(1, MOST_ROWS + 1))
     if not values.get(name):
@@ -191,7 +190,7 @@ def _number_field(row: type[BaseModel], at: Place, values: Values) -> BenchField
 def number_of_rows(at: Place, values: Values) -> int:
     """Return the number of rows of a table: the number chosen in the form, else the number of rows with values.
 
-    A section with values shows at least one row.
+    A table has at least one row if its section has any value.
     """
     chosen = values.get(f"form:{dotted(at)}", "")
     if chosen.isdecimal() and len(chosen) < 3:
@@ -361,7 +360,6 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
 
 
 def _is_list(annotation: Any) -> bool:
-    """Whether the value is a list of words."""
     return get_origin(bare(annotation)) is tuple and get_args(bare(annotation))[0] is str
 
 
@@ -423,7 +421,7 @@ def first_sentence(model: type[BaseModel]) -> str:
 
 
 def values_of(data: Any) -> dict[str, str]:
-    """Return texts by dotted path: a bench file's values, the form of its gravity, its number of voltmeters."""
+    """Return a bench file's values as texts by dotted path, and the form's choices ("form:…") for them."""
     values: dict[str, str] = {}
 
     def look(part: Any, at: Place) -> None:
@@ -467,11 +465,11 @@ def _form_of(written: Any) -> str:
 
 
 def completed(values: Values, before: Values) -> dict[str, str]:
-    """Return the typed values; a newly chosen driver gets the values of its example.
+    """Return the typed values, with the values that follow from a new driver or number of voltmeters.
 
-    Only fields that the form did not show yet get them, and resources stay empty. `before` are the values of the
-    file. A single voltmeter gets a driver that scans the signals. An added voltmeter gets the driver, range and
-    interface of the first one, and the next signal.
+    A driver other than in `before`, the values of the file, gets its example's values in fields that the form
+    did not show yet, except resources. A single voltmeter gets a driver that scans the signals. An added
+    voltmeter gets the driver, range and interface of the first one, and the next signal.
     """
     full = dict(values)
     number = number_of_meters(full)

@@ -72,7 +72,7 @@ def read_page(run: Run, name: str) -> bytes:
 
 
 class Certificates:
-    """A laboratory's certificates, read-only; none without its file. Raises `FileMistakes` if that is invalid."""
+    """A laboratory's certificates; none without a laboratory file. Raises `FileMistakes` if it is invalid."""
 
     def __init__(self, laboratory: Path | None) -> None:
         self._folder = None if laboratory is None else load_laboratory(laboratory).register_folder
@@ -80,7 +80,7 @@ class Certificates:
         self._register: Register | None = None
 
     def of(self, run: Run) -> dict[str, NumberStatus]:
-        """Return the certificates of the record behind a run's result, by number.
+        """Return, by number, the certificates issued for the record from which a run's result was calculated.
 
         Raises `Refused` for a damaged register.
         """
@@ -168,7 +168,7 @@ class RunsTable:
         self._kept: dict[str, tuple[Stamp, RunRow]] = {}
 
     def rows(self) -> list[RunRow]:
-        """Return all rows; those of runs not read within `LONGEST_LOOK_S` have only data of the manifest."""
+        """Return all rows; runs not read within 0.1 s (`LONGEST_LOOK_S`) have only the manifest's data."""
         until_s = self._clock.now_s() + LONGEST_LOOK_S
         found = []
         for run in self._folder.runs():

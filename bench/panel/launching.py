@@ -53,7 +53,7 @@ class Started:
 def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH, role: str = "") -> Started:
     """Start a process that outlives this program, without a shell; its output goes to `log`. Raises `OSError`.
 
-    `role` is the role of the person for whom it acts.
+    `role` is the role of the person for whom the process acts, empty for none.
     """
     with log.open("wb") as out:
         process = subprocess.Popen(  # noqa: S603 - a program of ours, arguments that were checked
@@ -167,7 +167,7 @@ class TrialResult:
 
     @property
     def startable(self) -> bool:
-        """Whether the run may be started; no dry run is needed if a prompt without default answer would stop it."""
+        """Whether check and dry run allow a start; no dry run is needed if a prompt has no default answer."""
         if self.stage != "done" or self.check is None or self.check["problems"]:
             return False
         return self.tried in {0, 1} or bool(self.check["dry_run_refuses"])
@@ -285,7 +285,7 @@ def arguments_of(request: RunRequest) -> Iterator[str]:
 
 
 def name_of(wanted: WantedRun, runs: RunsFolder) -> str:
-    """Return the typed name of a run, else one of procedure and time. Raises `Refusal` if it cannot be used."""
+    """Return a run's typed name, else one of procedure and time. Raises `Refusal` for an unusable name."""
     stem = re.sub(r"[^\w.+-]", "-", Path(wanted.request.procedure).stem)
     name = wanted.request.name or f"{stem}-{utc_now().astimezone():%Y%m%d-%H%M%S}"
     try:
@@ -321,9 +321,9 @@ def start_run(wish: WishFolder, name: str, runs: RunsFolder) -> Run:
 
 
 def resume_run(run: Run, by: Person) -> None:
-    """Resume a run for a person, or make its results, in a separate process.
+    """Resume a run for a person, or compute a finished run's missing results, in a separate process.
 
-    Raises `Refusal` if a program is carrying out the run already, or if the process ends without effect.
+    Raises `Refusal` if a program is carrying out the run already, or if the process ends before doing so.
     """
     if is_being_written(run.folder):
         raise Refusal(409, "a program is carrying out this run now; follow it on the run's page")

@@ -58,7 +58,7 @@ class Outcome:
     """The outcome of a run that has ended, as the live page shows it.
 
     `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
-    diagnosis is offered; it is empty if the readings fit the model and the verification passed.
+    diagnosis is offered: lack of fit, a failed verification or a doubtful one; else it is empty.
     """
 
     state: str
@@ -71,8 +71,8 @@ class Outcome:
 def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s: float) -> Outcome:
     """Return the outcome of a run that ended `age_s` seconds ago.
 
-    `alive` says whether a program still has the record open, `finished` whether the run reached its end. If results
-    are missing for long after the end, the state is "none", because the program that computed them was stopped.
+    `alive` says whether a program has the record open, `finished` whether the run reached its end. The state
+    is "none" if no program has it open and results are missing 120 s (`LONGEST_RESULTS_S`) after the end.
     """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
@@ -144,7 +144,7 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
-    """Return the unit's last calibrated run before a run, both real or both simulated; None if there is none."""
+    """Return the unit's last calibrated run before `run`, real or simulated as `run` is; None if none."""
     mine = _identity(run)
     if mine is None:
         return None

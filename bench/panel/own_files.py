@@ -63,7 +63,7 @@ def choices(kind: str) -> dict[str, Path]:
 
 
 def chosen_procedure(name: str, runs: RunsFolder) -> Path:
-    """Return a procedure by name; `next:RUN` means the one that RUN's diagnosis proposes. Raises `Refusal`."""
+    """Return a procedure's path; `next:RUN` is the one that RUN's diagnosis proposes. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         file = run.folder / NEXT
@@ -74,7 +74,7 @@ def chosen_procedure(name: str, runs: RunsFolder) -> Path:
 
 
 def chosen_bench(name: str, runs: RunsFolder) -> Path:
-    """Return a bench file by name; `next:RUN` means the one with which RUN was made. Raises `Refusal`."""
+    """Return a bench file's path; `next:RUN` is the one with which RUN was made. Raises `Refusal`."""
     if name.startswith(OF_RUN):
         run = runs.run(name.removeprefix(OF_RUN))
         original = Path(str(run.manifest.get("bench", "")))

@@ -35,8 +35,7 @@ Rows = list[list[Any]]
 def plots_of(run: Run, runs: RunsFolder) -> Numbers:
     """Return the numbers of all plots of a run as a JSON object, with null for a plot that the run lacks.
 
-    Member `previous` holds the residuals and Δg of the unit's previous calibration, `trouble` a sentence on
-    each unusable file.
+    `previous` is residuals and Δg of the unit's previous calibration, `trouble` a sentence per unusable file.
     """
     trouble: list[str] = []
     own = _measured(run, trouble)
@@ -77,7 +76,7 @@ def _measured(run: Run, trouble: list[str]) -> Numbers:
 
 @dataclass(frozen=True)
 class Fitted:
-    """The points of the residual plots, and `times`, the time of each verification point by (pass, point)."""
+    """The points of the residual plots, and the time (s) of each verification point by (pass, point)."""
 
     unit: str
     points: tuple[Numbers, ...]

@@ -134,7 +134,7 @@ def values_in(data: Any, fields: Iterable[BenchField]) -> dict[str, str]:
 
 
 def table_text(text: str, values: Values, fields: Sequence[BenchField]) -> str:
-    """Return a procedure's text with the values typed in its table, and its angles in the chosen form."""
+    """Return a procedure's text with the values of its table; angles become a list or steps, as chosen."""
     text = edited_text(text, values, fields)
     return edited_text(text, {}, (), lambda tree, _: _arrange_angles(tree, values, fields))
 
@@ -238,7 +238,7 @@ _BESIDE: Final = re.compile(r"[\w+-][\w.+-]*")
 
 
 def judged(path: Path, text: str) -> tuple[tuple[FileMistake, ...], Procedure | None]:
-    """Return a procedure's mistakes and, without any, the procedure; it may include only files of its folder."""
+    """Return a procedure's mistakes, and the procedure or None; it may include files of its folder only."""
     beside = [
         FileMistake(
             0,

@@ -31,16 +31,13 @@ SWITCHED_ON: Final = message("switched on")
 
 
 class _Row(BaseModel):
-    """A row of a file of the queue."""
-
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class QueueItem(_Row):
     """A unit to be measured: serial number (empty: as in the bench file), names of procedure and bench file.
 
-    `wish` is the id of its latest check, `run` the name of its run, and `begun` the time when a person began
-    it. Each is empty until then.
+    `wish` is the latest check's id, `run` the run's name, `begun` when a person began it; empty until then.
     """
 
     id: Annotated[str, Field(pattern=r"^[0-9a-f]{12}$")]
@@ -109,7 +106,10 @@ class DayQueue:
             items[at] = items[at].model_copy(update=values)
 
     def claim(self, item_id: str, run: str, exists: Callable[[str], bool]) -> None:
-        """Store the name of an item's run before its start. Raises `Refusal` (409) if it was begun already."""
+        """Store `run` as the name of an item's run before its start; `exists(name)` says if a run exists.
+
+        Raises `Refusal` (409) if the item was begun already or is not in the queue.
+        """
         with self._changed() as items:
             at = _index(items, item_id)
             item = items[at]

@@ -139,7 +139,7 @@ def results_of(run: Run) -> Results:
 def told_by(
     run: Run, name: str, words: Callable[[Mapping[str, Any]], Told], trouble: list[str]
 ) -> Told | None:
-    """Return `words(content)` of a run's result file; None if it is missing or damaged.
+    """Return `words(content)` of a run's result file `name`; None if the file is missing or damaged.
 
     For a damaged file, a sentence is added to `trouble`.
     """
@@ -209,7 +209,6 @@ def _point(one: Mapping[str, Any], size: float, limit: float, rule: str) -> Poin
 
 
 def _statement(told: Mapping[str, Any], rule: str) -> str:
-    """Return the statement of conformity under a decision rule."""
     from bench.calibration.conformity import Statement  # takes long to import
     from bench.calibration.verification import by_rule
 

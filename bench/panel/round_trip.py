@@ -62,7 +62,7 @@ def edited_text(
     fields: Iterable[BenchField],
     arrange: Callable[[Any, Values], None] = lambda tree, before: None,
 ) -> str:
-    """Return a YAML text with the `values` of its fields; without a change of data it is returned as it is.
+    """Return a YAML text with the `values` of its fields; if no data change, the text does not change either.
 
     An empty field removes its key. First, `arrange(tree, before)` adds and removes sections; `before` are the
     values in `text`. Raises as `changed_text`.
@@ -102,9 +102,8 @@ def accept_certificate(request: ReadCertificate, section: str) -> str:
     """Write an instrument's certificate `section` into a bench file; return a sentence that says what was written.
 
     The file's first line then names who accepted the certificate, and the SHA-256 of the document. Raises
-    `Refused` for an instrument that the bench file does not list, for a certificate without corrections, and for
-    a certificate that the bench file already has. Raises `FileMistakes`, without writing, if the changed file would
-    have mistakes.
+    `Refused` if the bench file lacks the instrument or already has the certificate, or if the certificate has
+    no corrections. Raises `FileMistakes`, without writing, if the changed file would have mistakes.
     """
     if request.into is None or not request.instrument or not request.by:
         raise Refused(

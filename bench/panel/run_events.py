@@ -148,7 +148,7 @@ class RunView:
 
     @property
     def waiting(self) -> tuple[Event, Wait | Settle] | None:
-        """The wait or settling in progress, with the event at which it began."""
+        """The wait or settling in progress, with its start event; None without one, or during a question."""
         if self.step is None or self.prompt is not None:
             return None
         step = self.plan.steps[self.step.step]
@@ -156,13 +156,13 @@ class RunView:
 
     @property
     def taken(self) -> tuple[Event, Reading] | None:
-        """The last reading taken, with its event."""
+        """The last reading, with the event that recorded it; None before the first reading."""
         event = self._brought.get(Read)
         return (event, event.reading) if event is not None and event.reading is not None else None
 
     @property
     def turned(self) -> tuple[Event, Turned] | None:
-        """The last turn since the block was mounted, with its event and the angle read back."""
+        """The last turn since the mounting, with its event and the angle read back; None before the first."""
         event, mounted = self._brought.get(Turn), self._brought.get(Mount)
         if event is None or (mounted is not None and mounted.number > event.number):
             return None
@@ -186,7 +186,7 @@ class RunView:
 
     @property
     def chamber(self) -> tuple[Event, float] | None:
-        """The event that last reported the chamber's air temperature, and this temperature (°C)."""
+        """The last event with the chamber's air temperature, and its value (°C); None before the first."""
         known: list[tuple[Event, float]] = []
         if self.slow is not None:
             known.append((self.slow, float(self.slow.data["air_c"])))
@@ -224,7 +224,7 @@ class Tail:
             return False
 
     def new(self) -> Iterator[Event]:
-        """Yield events added since the last call; for long records, most old starts of steps are left out.
+        """Yield events since the last call; in the middle of a long record, starts of steps are left out.
 
         Raises `RecordError` if anything but new lines changed.
         """

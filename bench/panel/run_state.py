@@ -116,10 +116,7 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """The constant data of a run's snapshots: the first members (`told`) and the installations of the bench.
-
-    `chamber` says whether the bench has a thermal chamber.
-    """
+    """A run's constant data: `told`, the first members of its snapshots, and what its bench comprises."""
 
     told: Mapping[str, Any]
     installations: Mapping[str, Installation]
@@ -172,7 +169,6 @@ def snapshot(
 
 
 def _doing(seen: RunView, *, alive: bool) -> str:
-    """Return a sentence on what the run is doing now."""
     match seen.state:
         case RunState.FINISHED | RunState.ABORTED:
             return message(f"The run is {seen.state}.")
@@ -199,8 +195,8 @@ def alarm_of(
 ) -> dict[str, str] | None:
     """Return the alarm of a run: `cause` in one line, `action` to take, `details`; None if there is no alarm.
 
-    `do` is "resume" if the action is to resume the run, else empty. An open question is an alarm only if
-    it follows an early warning of which the program is confident.
+    `do` is "resume" if the action is to resume the run, else empty. A confident early warning is an alarm
+    only while a question is open and no reading has followed the warning.
     """
     if seen.state is RunState.ABORTED or seen.state is RunState.FINISHED:
         return None

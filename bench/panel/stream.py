@@ -47,7 +47,7 @@ class PlottedPoints:
     points: tuple[dict[str, Any], ...] = ()
 
     def since(self, told: PlottedPoints) -> dict[str, Any]:
-        """Return the update for a viewer who has `told`: the new points, the index `from` of the first, and k."""
+        """Return the update for a viewer who has `told`: new points, index of the first, coverage factor."""
         begin = len(told.points) if told.version == self.version else 0
         return {"from": begin, "k": COVERAGE, "points": self.points[begin:]}
 
@@ -291,7 +291,7 @@ class SharedFollower:
 
     @property
     def over(self) -> bool:
-        """Whether following has ended, because of an error or with its event loop."""
+        """Whether the follower no longer reads the run, because of an error or because it was stopped."""
         return bool(self.trouble) or self._task.done()
 
     async def ready(self) -> None:
@@ -379,14 +379,14 @@ class Followers:
             return shared.prompt
 
     async def points(self, folder: Path) -> tuple[dict[str, Any], ...]:
-        """Return the points of a run when all readings were compared. Raises `RecordError` for a damaged run."""
+        """Return a run's points once all readings are compared. Raises `RecordError` for a damaged run."""
         async with self._watched(folder) as shared:
             while shared.judging and not shared.trouble:
                 await shared.wait(shared.version)
             return shared.points.points
 
     async def stream(self, folder: Path) -> AsyncIterator[bytes]:
-        """Yield a run's server-sent events for one viewer. Before the first, may raise `RecordError`."""
+        """Yield a run's server-sent events for one viewer. Raises `RecordError` if the first look fails."""
         async with self._watched(folder) as shared:
             told, sent, live = PlottedPoints(), b"", b""
             while not shared.trouble:

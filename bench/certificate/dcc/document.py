@@ -253,7 +253,6 @@ def _statement(ref: str, *words: Node, name: Iterable[Node] = ()) -> Node:
 
 
 def _record(certificate: Certificate) -> Node:
-    """Return the statement that identifies the run's record, with the seal as an embedded file."""
     record, texts = certificate.found.record, certificate.texts
     sealed = said(texts, "seal_text", sealed=record.sealed) if record.sealed else said(texts, "no_seal")
     about = said(texts, "record_text", run=record.run, events=record.events, head=record.head)
@@ -479,7 +478,6 @@ def _quantity(ref: str, quantity: Node, *name: Node) -> Node:
 
 
 def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
-    """Return the overall statement of conformity, with limit and decision rule."""
     statement, _ = stated(verification)
     say = partial(in_each, texts)
     points, limit = len(verification.points), f"{verification.limit_g:g}"

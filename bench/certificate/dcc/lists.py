@@ -45,7 +45,7 @@ class RealList:
     """A list of quantities in a document; `values` (n,) and `covariance` (n, n) are converted to SI units.
 
     `units` (n) are the document's units; `factors` (n,) convert them to SI, and `dimensions` (n) map SI bases to
-    exponents. `uncertainty` has U and k in the document's units, one of each for every value or one for all.
+    exponents. `uncertainty` is U, in the document's units, and k, each of shape (n,), or (1,) for all.
     `uncertainty` and `covariance` are None if the document does not state them. `roles` are the words in refType of
     the list and of its enclosing elements.
     """

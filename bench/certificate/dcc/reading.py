@@ -89,7 +89,6 @@ def shown_of(content: bytes) -> ShownValues:
 
 
 def _states(root: Node, ref: str) -> bool:
-    """Return whether a document has this program's statement `ref`."""
     path = f"{_ABOUT}/dcc:statements/dcc:statement[@refType='bench_{ref}']"
     return root.find(path, NAMESPACES) is not None
 
@@ -182,9 +181,9 @@ def coefficients_in(
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the result in a block's DCC, in the form of `bench calibrate --json`, and notes for the user.
 
-    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the noise of a reading, such as
-    "50 uV". Both are needed only if another program made the certificate. Raises `Refused` if the DCC has no
-    list of the coefficients, or several.
+    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the standard deviation of a
+    reading, such as "50 uV". Both are needed only if another program made the certificate. Raises `Refused`
+    if the DCC has no list of the coefficients, or several.
     """
     try:
         noise_v = None if noise is None else parse_quantity(noise, VOLTAGE)
@@ -339,9 +338,9 @@ _AXIS: Final = ("basic_nominalValue", "basic_referenceValue", "basic_measuredVal
 
 
 def section_of(path: Path, root: Node) -> tuple[str, tuple[str, ...]]:
-    """Return the section `certificate` (YAML) for an instrument in a bench file, made from its DCC, and notes.
+    """Return a section `certificate` (YAML) for an instrument in a bench file, and notes for the user.
 
-    Raises `Refused` if the DCC lacks its number, laboratory or date.
+    `root` is the instrument's DCC. Raises `Refused` if it lacks number, laboratory or date, or violates D-SI.
     """
     stated: dict[str, Any] = {**_about(root)}
     lacking = [name for name, text in stated.items() if not text]

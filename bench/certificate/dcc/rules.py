@@ -34,7 +34,6 @@ def _at(element: Node, text: str) -> str:
 
 
 def _version(root: Node) -> Iterator[str]:
-    """Yield a fault unless the document is a DCC of version `VERSION`."""
     if root.tag != f"{{{DCC}}}digitalCalibrationCertificate" or root.get("schemaVersion") != VERSION:
         yield _at(root, f"not a DCC {VERSION}")
 
@@ -134,8 +133,8 @@ def against_schemas(schemas: etree.XMLSchema, document: bytes) -> tuple[str, ...
 def read_schemas(folder: Path) -> etree.XMLSchema:
     """Compile dcc.xsd, SI_Format.xsd and the schemas that these two import, found anywhere below a folder.
 
-    Nothing is fetched from a network; an imported schema that is missing is left empty. Raises `Refused` if one of
-    the two is missing or has another version, or if a schema cannot be read.
+    Nothing is fetched from a network; an empty or minimal schema replaces an imported one that is missing.
+    Raises `Refused` if dcc.xsd or SI_Format.xsd is missing or has another version, or if one is unreadable.
     """
     there = {path.name.lower(): path for path in sorted(folder.rglob("*.xsd"))}
     for name, version in _FILES.items():

@@ -101,7 +101,7 @@ _OF_FORM: Final = re.compile(rf"form:|(?:{'|'.join(BenchFile.model_fields)})(?:[
 
 @dataclass
 class BenchForm(EditedFile):
-    """The form of a bench file: typed values and groups of fields; `further` are typed resources to be addressed.
+    """The form of a bench file: typed values, groups of fields, resources typed for the search (`further`).
 
     `example` is the name of the shipped file from which the bench file was made in this form; empty if unknown.
     """

@@ -123,7 +123,7 @@ class EditedFile(ABC):
 
 
 def difference(before: str, after: str, name: str) -> str:
-    """Return the lines in which two texts differ: "-" before lines of `before`, "+" before lines of `after`."""
+    """Return the lines in which two texts of a file differ: "-" marks those of `before`, "+" of `after`."""
     lines = difflib.unified_diff(
         before.splitlines(),
         after.splitlines(),

@@ -80,8 +80,7 @@ CHANGES: Final = {"copy": with_copy, "remove": without_step}
 class ProcedureTable(EditedFile):
     """The table of a procedure: groups and rows of fields, and the check.
 
-    `text` is the text being edited, `typed_text` the content of the text field, `bench` the bench file of the
-    check.
+    `text` is the edited text, `typed_text` that in the text field, and `bench` the bench file of the check.
     """
 
     KIND = PROCEDURES

@@ -36,7 +36,7 @@ MOVES: Final = {"up": -1, "down": 1}
 
 @dataclass(frozen=True)
 class QueueRow:
-    """An item with its state in words: "to do", a stage of its check, or the state of its run.
+    """An item of the queue, with its state in words: "to do", a stage of its check, or the state of its run.
 
     `run` is the row of the item's run. `beginnable` says whether a person may begin the item, `returnable`
     whether a person may put it back into the queue.
@@ -67,7 +67,7 @@ class BenchToday:
 
 
 async def queue(request: Request) -> Response:
-    """Show the queue; for a damaged file, show what to do about it."""
+    """Show the queue, or, if a file of the queue is damaged, what to do about it."""
     person = looking(request)
     panel = panel_of(request)
     try:
@@ -143,7 +143,7 @@ def _row(panel: Panel, item: QueueItem, runs: dict[str, RunRow]) -> QueueRow:
 
 
 def next_unit(panel: Panel) -> QueueItem | None:
-    """Return the first item without a run; None if there is none, or the file is damaged."""
+    """Return the first item without a run; None if there is none, or if the queue's file is damaged."""
     try:
         items = panel.queue.items()
     except RecordError:

@@ -105,7 +105,7 @@ def _drawn(wanted: Chart) -> str:
 
 
 def charted(request: Chart) -> CheckBlockChart:
-    """Return the charts of a check block. Raises `Refused`."""
+    """Return the charts of a check block. Raises `Refused` if runs or request do not permit a chart."""
     from bench.services.check_block import charted as read_charts  # takes long to import
 
     return read_charts(request)

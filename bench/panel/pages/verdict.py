@@ -140,7 +140,7 @@ async def data(request: Request) -> Response:
 
 
 async def previous(request: Request) -> Response:
-    """Send the points of the live residual plot of the run that calibrated the unit before this one."""
+    """Send the points of the live residual plot of the unit's previous calibration, if there is one."""
     found, panel = run_of(request), panel_of(request)
     earlier = await run_in_threadpool(previous_calibration, found, panel.runs)
     points = () if earlier is None else await panel.followers.points(earlier.folder)
