@@ -49,10 +49,10 @@ class Attempts:
         return "; ".join(self._told)
 
     def refuse_failed(self, name: str, what: str, remedy: str) -> None:
-        """Raise one error of the instrument `name` if an attempt failed; `what` says what failed.
+        """Raise an error of the instrument `name` if an attempt failed; `what` says what failed.
 
-        The error also states all causes and the `remedy`. It is `InstrumentLost` if every attempt failed with
-        `InstrumentLost`, else `InstrumentRefused`. An interruption is raised instead, as by `end`.
+        The error states all causes and the `remedy`. It is `InstrumentLost` if every attempt failed with
+        `InstrumentLost`, else `InstrumentRefused`. An interruption (Ctrl-C) is raised instead, as by `end`.
         """
         self.end()
         if self._failures:

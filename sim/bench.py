@@ -84,12 +84,12 @@ class SimulatedBench:
     state its `model`. Each instrument gets a TCP port on `host`: any free port, or consecutive ports from
     `first_port`. It also gets a pseudo-terminal if `with_terminals` is True or contains its name. `buses`
     puts instruments on the GPIB bus of an adapter, `{"adapter": {"voltmeter.x": 22, …}}`; they share the
-    adapter's port. `adapter_options` are options of each `GpibAdapter`. Each of the `faults` is armed as by
-    `arm`.
-    By name, `resources` holds VISA resources, `dialects` the instruments and `faulty` their
-    `FaultyInstrument`s. `wired`, `servers` and `terminals` hold the `ServedInstrument`s, TCP ports and
-    pseudo-terminals, on a bus those of the adapter. Within the context, a virtual clock of the world advances
-    only after all commands on the wires have been carried out.
+    adapter's port. `adapter_options` are options of each `GpibAdapter`. The `faults` are armed as by `arm`.
+
+    These map names: `dialects` to instruments, `faulty` to `FaultyInstrument`s, `resources` to addresses for
+    a driver, `wired` to `ServedInstrument`s, `servers` to TCP servers and `terminals` to pseudo-terminals.
+    The last three are the adapter's for an instrument on its bus. In the context, a virtual clock advances
+    only after all commands on the wires are carried out.
     """
 
     def __init__(

@@ -67,7 +67,7 @@ MOST_IN: Final = 5000
 
 @dataclass
 class Synced:
-    """Counts of folders in a sync; `problems` maps unusable, damaged and copied folders to the reason."""
+    """Folder counts of a sync; `problems` maps unusable, damaged and duplicate folders to the reason."""
 
     added: int = 0
     changed: int = 0

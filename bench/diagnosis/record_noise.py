@@ -55,7 +55,7 @@ class Noise:
 
     @cached_property
     def sd(self) -> Floats:
-        """The standard deviations (n,) of the noise along the eigenvectors, V."""
+        """Standard deviation (n,) of the noise along each of the `vectors`, V."""
         return np.asarray(np.sqrt(self.variance * (1.0 + self.ratio * self.slow)))
 
     @property

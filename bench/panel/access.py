@@ -228,7 +228,7 @@ def counted(receive: Receive) -> Receive:
 
 
 def without_body(receive: Receive) -> Receive:
-    """Return an ASGI `receive` that empties a GET or HEAD body, which event streams would read too late."""
+    """Return an ASGI `receive` that empties bodies: an event stream would refuse a large one too late."""
 
     async def dropped() -> Message:
         got = await receive()

@@ -176,7 +176,7 @@ def _as_steps(angles: Any) -> dict[str, str]:
 
 
 def with_copy(text: str, at: Place) -> str:
-    """Return a procedure with a copy of the step at path `at` after that step. Raises `Refusal` (409)."""
+    """Return the procedure `text` with the step at path `at` repeated. Raises `Refusal` (409)."""
     lines = text.splitlines()
     _, first, end = _block(text, at)
     return _compared(text, [*lines[:end], *lines[first:end], *lines[end:]], at, times=2)

@@ -93,7 +93,8 @@ def _choice(choice: str) -> dict[str, str]:
     """Return the button of a choice; for a choice with a reason in free text, `begin` begins the answer."""
     if choice.endswith(f" {REASON}"):
         beginning = choice.removesuffix(REASON)
-        return {"begin": beginning, "label": message(f"{beginning.strip()} because …")}
+        known = message("go on because …")
+        return {"begin": beginning, "label": known if beginning == "go on " else f"{beginning}…"}
     return {"text": choice, "label": choice}
 
 

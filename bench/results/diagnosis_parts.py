@@ -331,7 +331,7 @@ def _undetermined_part(label: str) -> FoldPart:
 
 
 def form_part(form: FreeForm) -> FormPart:
-    """Return the part of the result on the terms that describe an unnamed effect."""
+    """Return the result's part on what no effect of the catalogue explains."""
     dark, found = form.dark, form.dark.value if form.dark.there else 0.0
     return FormPart.from_object(
         form,

@@ -335,10 +335,8 @@ class EarlyWarning:
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
-        text = message(
-            f"the reading of {sighting.place} differs from the prediction: {_misfit(judged, channels)}; "
-            f"{_why(causes, at_fault)}"
-        )
+        found = f"{_misfit(judged, channels)}; {_why(causes, at_fault)}"
+        text = message(f"the reading of {sighting.place} differs from the prediction: {found}")
         return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:

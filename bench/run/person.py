@@ -83,7 +83,7 @@ class RunControl:
     who: WishAuthor = NOBODY_KNOWN
 
     def to_json(self) -> dict[str, str]:
-        """Return the wish as written into the run folder's file."""
+        """Return the wish as stored in `control.jsonl`."""
         return {"wish": self.wish.value, "reason": self.reason, **self.who.to_json()}
 
     def reason_and_author(self) -> dict[str, str]:

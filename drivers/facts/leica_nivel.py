@@ -52,6 +52,6 @@ MOST_AVERAGES: Final = 128
 def check_sum(said: str) -> bytes:
     """Return the 16-bit check sum of a block, high byte first.
 
-    `said` is the part of the block from the addressee to <ETX>.
+    `said` is the text of the block between <STX> and <ETX>.
     """
     return (sum(said.encode("ascii", "replace")) & 0xFFFF).to_bytes(2, "big")

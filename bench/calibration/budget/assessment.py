@@ -73,7 +73,7 @@ class MeasuredAcceleration:
 
     @property
     def u_modulus(self) -> Floats:
-        """Standard uncertainty of the modulus, g, shape (d,)."""
+        """Standard uncertainty (d,) of each modulus, g."""
         return np.sqrt(self.modulus_variance(self.covariance))
 
     @property

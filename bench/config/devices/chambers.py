@@ -47,7 +47,7 @@ class EspecSection(ControlledChamberForm):
 
 
 class ThermotronSection(ControlledChamberForm):
-    """A chamber with a Thermotron controller that works in °C; its name must match the pattern `identity`."""
+    """A Thermotron chamber that works in °C; the reply to IDEN? must contain the pattern `identity`."""
 
     facts: ClassVar = thermotron
     for_driver: ClassVar = ("identity",)

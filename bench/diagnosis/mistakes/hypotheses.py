@@ -99,7 +99,7 @@ class ProjectedReadings:
 
     @property
     def pulls(self) -> Floats:
-        """The right-hand sides (n, 3): `blocks` times the estimated errors of each reading."""
+        """For each reading (n, 3), `blocks` times the least-squares estimate of its errors."""
         return np.asarray(np.einsum("nji,nj->ni", self._ways, self.pull.reshape(-1, 3)))
 
 

@@ -364,7 +364,11 @@
     if (prompt && !holding()) notes.push(holder() ? _(`${holder()} answers here, or somebody at the terminal.`) : _("Take control to answer here; the terminal answers too."));
     if (state.unmet) notes.push(`${_(state.unmet)}.`);
     if (state.refused && state.refused.why) notes.push(_(`Not accepted: “${state.refused.answer}” – ${state.refused.why.replace(/\.$/, "")}.`));
-    else if (state.answered) notes.push(_(`Last answer: “${state.answered.answer}”${state.answered.by ? ` by ${state.answered.by}` : ""}${state.answered.place ? ` (${state.answered.place})` : ""}.`));
+    else if (state.answered) {
+      const { answer, by, place } = state.answered;
+      const who = place === "panel" ? _(`${by} in the panel`) : place === "terminal" ? _(`${by} at the terminal`) : by;
+      notes.push(by ? _(`Last answer: “${answer}” by ${who}.`) : _(`Last answer: “${answer}”.`));
+    }
     if (state.why && !state.alarm) notes.push(state.why);
     put("told", state.ended ? "" : notes.join(" "));
 
@@ -426,7 +430,7 @@
     const alarm = state.alarm;
     show("alarm", Boolean(alarm));
     if (!alarm) return;
-    put("alarm-cause", `⚠ ${alarm.cause}`);
+    put("alarm-cause", `⚠ ${_(alarm.cause)}`);
     put("alarm-action", alarm.action);
     put("alarm-details", alarm.details);
     show("alarm-more", alarm.details !== "");
