@@ -283,7 +283,7 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
     """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
     Sensitivities, offsets and angles between the axes are compared, since the mounting does not change them.
-    Results and checks are given as CODE=FILE. Raises `Refused` for a missing result or a bad seal.
+    Results and checks are given as CODE=FILE. Raises `Refused` for a missing result or seal, or a broken one.
     """
     return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 

@@ -115,9 +115,9 @@ def issue_all(names: Sequence[str], desk: Desk) -> Iterator[IssuedRun]:
 
 
 def drafts(request: IssueCertificates) -> Iterator[IssuedRun]:
-    """Write a draft certificate for each run, and yield the outcomes.
+    """Write a draft certificate (without a number) for each run, and yield the outcomes.
 
-    A draft has no number. It is written in the run's folder, or with the run's name into the folder `out`.
+    A draft is `certificate-draft.pdf` in the run's folder, or `RUN-certificate-draft.pdf` in folder `out`.
     """
     laboratory = None if request.laboratory is None else load_laboratory(request.laboratory)
     order = None if request.order is None else load_order(request.order)
@@ -253,7 +253,7 @@ def _write(
 
 
 def bodies_of(certificate: Certificate, schemas: etree.XMLSchema | None = None) -> Bodies:
-    """Return a certificate's unsigned XML and PDF. Raises `Refused` if the XML breaks rules or schemas."""
+    """Return a numbered certificate's unsigned XML and PDF. Raises `Refused` if the XML is no valid DCC."""
     from bench.certificate.dcc.document import document_of
     from bench.certificate.dcc.rules import against_schemas, broken_rules
 

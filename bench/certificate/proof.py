@@ -109,7 +109,7 @@ def symbol(name: str) -> dict[str, str]:
 def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
     """Return a result's cells: name, value, U, k, degrees of freedom, unit.
 
-    Value and U are divided by `size`, the magnitude of `unit` in the result's own unit.
+    Value and U are divided by `size`, the magnitude of `unit` (empty: own unit) in the result's own unit.
     """
     U = value.U / size
     freedom = f"> {_MANY_DOF}" if value.dof > _MANY_DOF else fixed(value.dof, 0 if value.dof >= 10 else 1)

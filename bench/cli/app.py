@@ -90,7 +90,8 @@ def explain(error: Exception, command: str = "bench") -> str:
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):
-        return error.format_message()  # the message names the option
+        said = error.format_message()  # names the option
+        return f"{said}{'' if said.endswith(('.', '?')) else '.'} See '{command} --help-all'"
     if isinstance(error, Refused | OSError) or expected(error):
         return sentence(error)
     return (

@@ -125,7 +125,7 @@ def confirm(
 def confirm_free(tables: Sequence[Readings], model: ForwardModel) -> Confirmation:
     """Compare free positions with the effects of a model, and diagnose these positions for further effects.
 
-    Raises `CalibrationError` if the positions do not determine the coefficients, or show none of the effects.
+    Raises `CalibrationError` if the positions do not determine the coefficients, or could show no effect.
     """
     diagnosis = diagnose_free(tables, None, model)
     return compared(diagnosis, make_system(replace(diagnosis.rows, effects=())), diagnosis.linear)

@@ -248,9 +248,9 @@ def measure_gap(
 
     `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings;
     `setting_rad` is the setting error that the bench file states. `parts` are labels and masks (N,) of the
-    sets. By default, these are passes and moduli (`folds_of`). They are thirds (`thirds_of`) if the rows
-    outside a pass, or outside the moduli, do not determine the coefficients, the effects found or their
-    forms.
+    sets. By default, these are passes and moduli (`folds_of`), but thirds (`thirds_of`) if the rows outside
+    a pass, or outside the moduli, do not determine the coefficients, the effects found or their forms, and
+    thirds can be held out.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)

@@ -39,9 +39,9 @@ class FoundEffect:
 
     `evidence` is ln of the Bayes factor of its family beside all other effects found. `total` is ln of the
     odds that an effect is missing if the model lacks this one. `size` is the root of the decrease of
-    chi-square. `odds` are the probabilities of all families in its place. The readings do not exclude its
-    `ties`; those in `same` have the same signature. `plainer_than` are families that include it and need more
-    parameters.
+    chi-square. `odds` are the probabilities of the permitted families in its place. The readings do not
+    exclude its `ties`; those in `same` have the same signature. `plainer_than` are families that include it
+    and need more parameters.
     """
 
     variant: Variant
@@ -229,7 +229,7 @@ def name(
     begun: Sequence[FoundEffect] = (),
     among: Among | None = None,
 ) -> Naming:
-    """Return the effects that `find` returns, as a `Naming` with the odds of all families in their place."""
+    """Return the effects of `find`, as a `Naming` with the odds of the permitted families in their place."""
     found = find(whitened, data, threshold, most, begun, among)
     scored = Scored.beside(whitened, data, _columns(found))
     beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))

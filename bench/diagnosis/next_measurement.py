@@ -141,7 +141,7 @@ Noise then makes the wrong one likelier in 2.3 % of runs, as often as it gives a
 
 @dataclass(frozen=True)
 class Separation:
-    """Divergence D of an effect from one that explains the readings as well, before and after a procedure.
+    """Divergence D of an effect from one that the readings do not exclude, before and after a procedure.
 
     D is the expected ln of the odds of the true effect against the other; a larger D separates them better.
     """
@@ -249,10 +249,10 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    If several effects explain the readings equally well, it is the shortest that separates the most pairs of
-    them, or else the one that increases their divergence D most per minute. For the verdicts "named" and
-    "agrees", it is the shortest that shows the most hidden effects. For "mistake" and "unknown", nothing is
-    proposed. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
+    For the verdict "confounded", it is the shortest that separates the most pairs of effects between which
+    the readings do not decide, or else the one that increases their divergence D most per minute. For "named"
+    and "agrees", it is the shortest that shows the most hidden effects. For "mistake" and "unknown", nothing
+    is proposed. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None

@@ -53,7 +53,7 @@ class Span:
     kept: Floats
 
     def leave(self, white: Floats, taken: Floats) -> None:
-        """Subtract, in place, the fraction `taken` (k,) of the part along each direction from `white`."""
+        """Subtract in place, from `white` (N, …), the fraction `taken` (k,) of the part in each direction."""
         inside: Floats = self.basis.T @ white[self.rows]
         white[self.rows] -= self.basis @ (inside.T * taken).T
 

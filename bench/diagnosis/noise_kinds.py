@@ -341,7 +341,7 @@ def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple
 
 
 def _of_reference(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield 1/f noise in proportion to the signals, of one common reference or of one for each meter."""
+    """Yield 1/f noise in proportion to the signals, of one reference or of one per meter, the likelier."""
     signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
     own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
     if any(not waves.shape[1] for waves in own):

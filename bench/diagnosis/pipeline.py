@@ -263,8 +263,8 @@ def verdict_of(effects: Sequence[NamedEffect], findings: Sequence[NoiseFinding |
     """Return the verdict on readings without mistakes: the first of these that applies.
 
     "unknown": there are `findings` (noise larger than stated, or readings far off), or an effect is not in
-    the catalogue. "confounded": others explain the readings as well as an effect does, or held-out readings
-    do not confirm the effects. "named": effects were found. "agrees": nothing was found.
+    the catalogue. "confounded": the readings do not exclude others in place of an effect, or held-out
+    readings do not confirm the effects. "named": effects were found. "agrees": nothing was found.
     """
     if findings or any(not e.in_catalogue for e in effects):
         return "unknown"
@@ -408,7 +408,7 @@ class Rival:
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each effect, its own and tied families and at least the `LISTED` likeliest, best first."""
+    """Return, for each effect, the `LISTED` best families and its own, tied and larger ones; not terms."""
     naming, candidates = diagnosis.naming, diagnosis.candidates
     if not naming.found:
         return ()

@@ -289,7 +289,7 @@ def _linearised_again(task: SearchTask, prepared: Prepared) -> tuple[Prepared, N
 
 
 def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepared | None:
-    """Return the readings linearised and whitened again about the effects; None if that is not needed."""
+    """Return the readings linearised and whitened again about the effects; None if not needed or possible."""
     linear, candidates = prepared.linear, prepared.candidates
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     fitted = fit_found(linear, candidates, naming, noise)

@@ -43,8 +43,8 @@ class Simulation:
 
     `calibration` has the estimates; `effects` are those of the model, with values and u estimated here.
     `test` compares the readings with a simulation without noise. `points` are the errors at verification
-    points. The fit includes these points (`joined`) only if an effect shows nowhere else; otherwise they are
-    independent of it. `repeat` computes `repeated`.
+    points. The fit includes these points (`joined`) only if the others hardly determine an effect; otherwise
+    they are independent of it. `repeat` computes `repeated`.
     """
 
     model: ForwardModel
@@ -75,7 +75,7 @@ class Simulation:
 class CoefficientChange:
     """A coefficient and its u, `before` with the given model and `after` with the effects found.
 
-    `u_after` includes the change if other effects, which explain the readings as well, are present instead.
+    `u_after` includes the change if effects that the readings do not exclude are present instead.
     """
 
     before: float

@@ -255,7 +255,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of a plausible amplitude in the one of `forms` that shows best."""
+        """Return the signal-to-noise ratio of a plausible size in the best of `forms`, beside unknowns."""
         return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
 
 
@@ -437,7 +437,7 @@ class FarReading:
 def far_readings(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[FarReading, ...]:
     """Return the readings that are far from the model with the columns `effects` (N, m), farthest first.
 
-    Distances are deletion residuals: Cook and Weisberg, Residuals and Influence in Regression, 1982, ch. 2.2.
+    Distances are deletion residuals: Cook and Weisberg, Residuals and Influence in Regression, 1982, 2.2.
     """
     heavy = linear.by_row is not None
     rows = replace(linear.with_random(KNOWN_SIZE * effects), by_row=None)

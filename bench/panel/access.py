@@ -311,7 +311,7 @@ class KeptList:
 
     @contextmanager
     def changed(self) -> Iterator[list[dict[str, Any]]]:
-        """Yield the rows to change; then write them. Raises `RecordError` if reading or writing fails."""
+        """Yield the rows to change in place, then write them. Raises `RecordError` if this fails."""
         try:
             with self._lock:
                 rows = self.rows()

@@ -395,7 +395,7 @@ _SLOW: Final = "starting takes too long; start the panel with 'bench panel'"
 
 
 def begin_panel(runs: Path, ports: Sequence[int] = (PORT, 0), laboratory: Path | None = None) -> Started:
-    """Start a panel that outlives this program, on a free one of `ports`. Raises `RecordError` on failure."""
+    """Start a panel that outlives this program, on the first free of `ports`. Raises `RecordError`."""
     state = private_folder(runs / STATE)
     trouble = ""
     for port in ports:

@@ -117,7 +117,7 @@ DRIFTS: Final = 0.01
 
 @dataclass(frozen=True)
 class About:
-    """A run's constant data: `told`, the first members of its snapshots, and what its bench comprises."""
+    """A run's constant data: first members of snapshots (`told`), installations, whether it has a chamber."""
 
     told: Mapping[str, Any]
     installations: Mapping[str, Installation]

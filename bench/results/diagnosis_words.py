@@ -163,7 +163,7 @@ def p_in_column(p: float, digits: int = 1) -> str:
 
 
 def significance_in_words(effect: NamedEffect) -> str:
-    """Return the p-value of an effect, corrected for multiple tests, and rho (amplitude over u), if known."""
+    """Return an effect's p-value, corrected for multiple tests, and rho (joint amplitude over u) if known."""
     p = message(f"{p_in_words(effect.p_all_looks)}, corrected for multiple tests")
     if effect.rho is None:
         return p
@@ -195,8 +195,8 @@ def place_in_words(place: ResidualPattern) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return each effect that such readings can show, with the amplitude that half of all runs would find.
 
-    It is the amplitude in the channel, mounting and form where the effect shows best. If an effect has two
-    amplitudes, as the phases of a wave, it is their norm in the direction that is hardest to find.
+    It is that of the channel, mounting and form that show it best. If an effect has several amplitudes of one
+    unit, as the phases of a wave, it is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():

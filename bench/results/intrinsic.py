@@ -51,7 +51,7 @@ class IntrinsicPart(ResultModel):
 
 
 class JointPart(ResultModel):
-    """The joint coverage factor k: an ellipsoid of semi-axes k u contains all true values jointly (95 %)."""
+    """The joint coverage factor k: an ellipsoid of half-widths k u holds all true values jointly (95 %)."""
 
     count: int = Field(description="number of values with an uncertainty")
     k: float = Field(description="joint coverage factor: √(p F(p, dof)), or √χ²(p) for infinite dof")

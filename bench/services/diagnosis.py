@@ -203,7 +203,7 @@ class DiagnosisAlone(ResultWithPage):
         return self.found.verdict
 
     def models_of(self, *, accept_first: bool = False) -> list[tuple[AppliedEffect, ...]]:
-        """Return the effects of each model file to write: one, or one for each sensor; [] without names."""
+        """Return the effects of each model file to write: one, or one for each sensor; [] if none is due."""
         if not _named(self.found, accept_first=accept_first):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]

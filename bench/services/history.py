@@ -134,7 +134,7 @@ class LearningResult:
         return self.result.to_dict()
 
     def write(self, path: str | Path) -> None:
-        """Write the learned file. Raises `RecordError`; `Refused` if it exists or many runs disagree."""
+        """Write the learned file. Raises `RecordError`; `Refused` if it exists or too many contradict."""
         path = Path(path)
         if path.exists():
             raise Refused(f"{path}: exists, and a learned file is not overwritten; name another with --out")

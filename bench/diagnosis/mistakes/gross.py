@@ -261,7 +261,7 @@ def _off_g(block: Block, signal: Floats) -> Floats:
 
 
 def _of_moduli(off_g: Floats, errors_g: Floats) -> float:
-    """Return ln of the evidence of moduli that are `off_g` (n,), averaged over prior sigmas `errors_g`."""
+    """Return ln of the evidence of moduli that are `off_g` (n,), summed over prior sigmas `errors_g` (k,)."""
     of_size = -0.5 * np.sum((off_g / errors_g[:, None]) ** 2, axis=1) - len(off_g) * np.log(errors_g)
     return float(np.logaddexp.reduce(of_size))
 

@@ -190,7 +190,7 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return verification and free rows in the same wrong unit: the factor makes their |a| usual."""
+        """Return verification and free rows in the same wrong unit: the factor makes their signals usual."""
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
         usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
@@ -310,7 +310,7 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 
 
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Yield suppositions that, pass by pass, readings are a row late or early, or the head an angle off."""
+    """Yield suppositions that, pass by pass, readings are a row late or early, or the head one stop off."""
     runs = table.mount * (table.pass_number.max() + 1) + table.pass_number
     for step, when in ((1, "late"), (-1, "early")):
         words = (
