@@ -64,7 +64,7 @@ def read_number(text: str) -> float:
 
 
 def places(u: float) -> int:
-    """Return the number of decimals for two significant digits of `u`, negative from 100 on.
+    """Return the number of decimals for two significant digits of `u`, negative from 99.5 on.
 
     It is `PLACES_WITHOUT_U` unless `u` is finite and above 0.
     """

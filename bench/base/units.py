@@ -226,7 +226,7 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
 
 
 def above_zero(why: str) -> AfterValidator:
-    """Return a validator that rejects 0 or less: `Annotated[SizeV, above_zero("state a drift above 0")]`."""
+    """Return a validator that rejects 0 or less with the sentence `why`, such as "state a drift above 0"."""
 
     def check(size: float) -> float:
         if not size > 0.0:

@@ -1,4 +1,4 @@
-"""The paper's closed-form estimator, equations (7)-(8), without the misprints of the paper."""
+"""The paper's closed-form estimator, equations (7)-(8), in its consistent form."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ FARTHEST_FROM_NOMINAL_RAD = np.radians(3 / 60)
 
 
 def closed_form(signals: Floats) -> Floats:
-    """Return the 12 coefficients, per g, for signals (2 installations, 3 channels, 9 test points).
+    """Return the 12 coefficients for signals (2 installations, 3 channels, 9 test points); K per local g.
 
     Source: paper (7)-(8); the bias U20z is one eighth of the sum over test points 1 to 8.
     """

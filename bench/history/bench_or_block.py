@@ -132,8 +132,8 @@ class Sizes:
 class OutlyingEffect:
     """A unit or bench with an outlying effect on one coefficient.
 
-    `effect` is the difference of a bench from the mean of the benches that common units link to it, or of a unit
-    from the mean of its type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
+    `effect` is a bench's difference from the mean of all benches linked by common units, itself included, or
+    a unit's from the mean of its type. `p_all_looks` is Holm's p-value, adjusted for all effects examined.
     """
 
     name: str

@@ -50,8 +50,8 @@ class TimeOutlook:
     """Simulated runs, (draws,) each: bench time (s), number of settings, and whether the goals were reached.
 
     `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the
-    noise to the noise stated in the bench file; `learned` says whether past runs of the bench gave this
-    ratio. `has_goal` is False if only a time limit was given.
+    noise to that of the `Stand`; `learned` says whether the `Stand` has its noise from past runs of the
+    bench. `has_goal` is False if only a time limit was given.
     """
 
     time_s: Floats
@@ -69,7 +69,7 @@ class TimeOutlook:
 
 
 def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
-    """Return the results of `draws` simulated runs with `scale` times the noise stated in the bench file."""
+    """Return the results of `draws` simulated runs with `scale` times the noise of the chooser's `stand`."""
     rng = np.random.default_rng(seed)
     known: dict[Any, NextPoints] = {}
     drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
@@ -220,11 +220,11 @@ class Standing:
 
     `visit` is the index of the present mounting among the pool's mountings, -1 before the first. A site is a
     setting of the head in a mounting (`Site`). `taken` holds the index of the first step of each measured
-    point, `done` the number of visits to each site; `elapsed_s` is the bench time, `scale` the noise.
-    `refused` and `refused_mounts` are the sites and mountings that the operator skipped. After a remount of
-    the block, `now` maps the planned mountings to the mountings in use. `reached` is the progress towards the
-    goals, empty until the readings determine the coefficients. Readings at the sites `apart` would
-    distinguish possible causes of a misfit.
+    point, `done` the number of visits to each site; `elapsed_s` is the bench time, s, `scale` the noise as a
+    multiple of the stated noise. `refused` and `refused_mounts` are the sites and mountings that the operator
+    skipped. After a remount of the block, `now` maps the planned mountings to those in use. `reached` is the
+    progress towards the goals, empty until the readings determine the coefficients. Readings at the sites
+    `apart` would distinguish possible causes of a misfit.
     """
 
     visit: int = -1

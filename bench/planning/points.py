@@ -67,7 +67,7 @@ class Sites:
         ]
 
     def candidates(self, chosen: Sequence[int]) -> SettingPool:
-        """Return the candidate settings: all angles in the first `chosen` mounting, then in the next."""
+        """Return the candidate settings, by mounting in the order of `chosen` (indices of `mounts`)."""
         rows = np.concatenate([np.arange(len(self.angle_rad)) + m * len(self.angle_rad) for m in chosen])
         columns = np.concatenate(
             [np.arange(FIXED), FIXED + np.flatnonzero(np.isin(self._mount_of_column, chosen))]

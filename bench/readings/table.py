@@ -252,7 +252,7 @@ class JoinedPart:
 def together(parts: Sequence[JoinedPart]) -> Readings:
     """Return several tables joined into one, with all times on one clock.
 
-    If every table has `began_s` and the tables do not overlap in time, they are joined in order of time at
+    If every part has a `JoinedPart.began_s` and no tables overlap, they are joined in order of time at
     their real intervals. Otherwise they keep the order given, with `BETWEEN_S` between them. Rows without a
     time get one from `Conditions.elapsed_s`. The series numbers of each table continue those of the table
     before it, so that mountings stay apart. `Readings.began_s` holds the start of each run's clock; `notes`

@@ -126,9 +126,9 @@ class _Elsewhere(Exception):
 class Asker:
     """The person of a run, who can answer at a terminal (if any) and through files in the run's `folder`.
 
-    The first `answers_read` answers in the folder are skipped. `tell` records the events. Until `attach` is called,
-    prompts accept no wish (operator's command). `answered_by` is the author of the last answer. The class
-    implements `drivers.interfaces.WatchingPerson`.
+    The first `answers_read` answers in the folder are skipped. Until `attach` is called, `tell` records the
+    events, and prompts accept no wish (operator's command). `answered_by` is the author of the last answer.
+    The class implements `drivers.interfaces.WatchingPerson`.
     """
 
     def __init__(

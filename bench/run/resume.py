@@ -206,7 +206,7 @@ def first_of_pass(plan: Plan, turn: int) -> int:
 
 
 def last_of_pass(plan: Plan, progress: PlanProgress, turn: int) -> int:
-    """Return the index of the last step of the point begun last in a pass; `turn` is a turn of that pass."""
+    """Return the index of the last step of the last begun point, in plan order, of the pass of `turn`."""
     last = turn
     for index in range(turn, len(plan.steps)):
         if isinstance(plan.steps[index], Mount | SetTemperature):
