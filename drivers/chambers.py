@@ -26,7 +26,7 @@ class ChamberLimits:
     """The permitted set points of a chamber, °C, and the permitted deviation of the air from the set point.
 
     The air may deviate by `band_c`, K; if that is None, every plausible temperature is permitted. Raises
-    `ValueError` unless `minimum_c` is below `maximum_c` and `band_c` is positive.
+    `ValueError` unless `minimum_c` is below `maximum_c` and a stated `band_c` is positive.
     """
 
     minimum_c: float

@@ -187,7 +187,7 @@ class Voltmeter(Instrument, Protocol):
     """The signals that this instrument measures, in the order in which it scans them."""
 
     def configure(self, settings: VoltmeterSettings) -> None:
-        """Apply and verify the settings. Raises `LimitExceeded`, `InstrumentRefused`, `InstrumentLost`."""
+        """Apply and verify the settings. Raises a `BenchError`; `LimitExceeded` before anything is sent."""
 
     def start(self) -> None:
         """Start one reading with the configured number of samples; return without waiting for it."""
@@ -226,7 +226,7 @@ class ThermalChamber(Instrument, Protocol):
     """Whether a person must read the temperature; `temperature` is then called once per mounting only."""
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Set the temperature, °C. Raises `LimitExceeded` before anything is sent; other `BenchError`s."""
+        """Set the temperature, °C. Raises `LimitExceeded` before anything is set; other `BenchError`s."""
 
     def make_safe(self) -> str:
         """Put the chamber into its safe state; return what a person must still do, an empty string for nothing.

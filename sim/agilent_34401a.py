@@ -92,9 +92,9 @@ def _default_settings(function: Function) -> FunctionSettings:
 class Configuration:
     """The measurement settings of the meter.
 
-    A command that changes a setting, except the input impedance, calls `on_change`. A number between two
-    accepted values is replaced by the one that still meets the request: the higher range or integration time,
-    the lower detector bandwidth, the finer resolution.
+    A command for a single setting, except the input impedance, calls `on_change`; CONFigure and *RST do not.
+    A number between two accepted values is replaced by the one that still meets the request: the higher range
+    or integration time, the lower detector bandwidth, the finer resolution.
     """
 
     def __init__(self, on_change: Callable[[], None]) -> None:

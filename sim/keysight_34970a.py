@@ -282,7 +282,7 @@ _OHM_PER_K: Final = 0.385
 
 
 class Probe:
-    """A temperature sensor on the block, of a type in `SENSORS`; a meter set to volts reads 0 V at it.
+    """A temperature sensor on the block, of a type in `SENSORS`; to a meter set to volts it is a short.
 
     It shows the block's temperature plus three terms, °C: the fraction `air_share` of the difference between
     chamber air and block, the constant error `error_c`, and noise of the standard deviation `noise_c`.

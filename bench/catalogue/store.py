@@ -440,7 +440,7 @@ def _make_tables(connection: Connection) -> None:
 
 
 def _renew(connection: Connection) -> str:
-    """Replace the tables of an older catalogue by empty current ones; return a sentence on it.
+    """Replace the tables of an older catalogue by current ones for a sync to fill; return a sentence on it.
 
     For a run that can be read again, only the folder is kept, so that a sync finds it. Runs and registers
     whose folders are gone keep their rows, as far as the new tables have the columns.

@@ -81,9 +81,9 @@ def due_units(
     `limit_g` is the permitted error (g) of a measurement of 1 g, by default the limit of each unit's last
     verification. If a unit's history is too short to show drift, `interval_days` determines its date. Units
     without a due date have a reason instead. `before` (ISO 8601) leaves out what is due on that day or later;
-    by default, every unit and the certificates of the next 30 days are listed. `processes` worker processes
-    compute the dates of many units, by default one for each core. Raises `Refused` for an invalid question,
-    limit or interval.
+    by default, all units and all certificates that expire within 30 days or have expired are listed.
+    `processes` worker processes compute the dates of many units, by default one for each core. Raises
+    `Refused` for an invalid question, limit or interval.
     """
     interval = _checked(limit_g, interval_days)
     asked = f"method {METHOD}, limit {limit_g!r}, interval {interval!r}"

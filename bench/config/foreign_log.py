@@ -161,7 +161,7 @@ def convert_log(
     """Return a log converted to a readings file; times count from the first row of the log.
 
     Raises `ReadingsError` for an unreadable log, for columns that the log lacks, for a local time that goes
-    back as if a clock was put back, and for every bad row (the first 20, then their number). A row is bad if
+    back as if a clock was put back, and for every bad row (the first 20, then how many more). A row is bad if
     a cell is no number or time, or if it has too few or too many cells. With `skip_bad_rows`, bad rows are
     left out, unless all rows are bad.
     """

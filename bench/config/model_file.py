@@ -35,10 +35,10 @@ FORMAT: Final = "1"
 
 
 class EffectEntry(FileModel):
-    """An effect in a file: its name in `CATALOGUE`, its values, its channels and its installations.
+    """An effect in a file: its name in `CATALOGUE`, its values, and the channels and mountings affected.
 
-    Without `installations`, the effect acts in all of them. `either_of` lists the names of effects that the
-    readings could not distinguish, this effect first; it is empty if the readings distinguished them all.
+    `installations` lists mountings ("2", in series 3 "2/3") or passes ("2 pass 1"); empty means all.
+    `either_of` lists the effects that the readings could not distinguish, this one first; empty if none.
     """
 
     name: str

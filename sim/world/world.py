@@ -457,7 +457,7 @@ class World(KeyedNumbers):
 
     @property
     def series(self) -> int:
-        """The number of the present mounting in its installation, from 1."""
+        """The series number of the present mounting in its installation, as given to `mount`."""
         return self._poses[-1].series
 
     @property

@@ -213,7 +213,7 @@ def learned_for(bench: BenchFile) -> str:
 
 
 def load_learned(path: Path, bench: BenchFile) -> LearnedFile:
-    """Read a learned file. Raises `FileMistakes`, also if it was learned for a bench that differs."""
+    """Read a learned file. Raises `FileMistakes`, also if its `learned_for` is not that of `bench`."""
     file = load_validated(path, LearnedFile)
     if file.learned_for != learned_for(bench):
         text = (
@@ -254,8 +254,8 @@ class PriorFile(FileModel):
     """A validated prior file: the expected coefficients of a further unit of a type.
 
     Scale factors are in the unit `signal` per g, where 1 g is `per_g_m_s2` in m/s². `last` is the date of the
-    last of the `calibrations`. `covariance` (12, 12) has `dof` degrees of freedom; its correlations were
-    reduced by the fraction `shrunk`.
+    last of the `calibrations`. `covariance` (12, 12) has `dof` degrees of freedom; in its part between units,
+    correlations were reduced by the fraction `shrunk`.
     """
 
     type: str

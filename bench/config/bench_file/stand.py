@@ -94,7 +94,7 @@ MOST_SAMPLES: Final = 1_000_000
 def can_come_about(
     what: str, size: float, span: str, span_s: float, interval_s: float, timeout_s: float
 ) -> None:
-    """Raise `ValueError` for a criterion of settling that cannot be met with at most `MOST_SAMPLES` samples.
+    """Raise `ValueError` if a criterion of settling cannot be met, or may take over `MOST_SAMPLES` samples.
 
     The criterion is that samples, one every `interval_s`, vary by at most `size` during the time `span_s`,
     before `timeout_s` has passed. In the message, `what` is the name of `size`, and `span` that of `span_s`.
@@ -522,8 +522,8 @@ class UncertaintySection(FileModel):
     """The limits of errors that the readings do not reveal; omitted limits have defaults.
 
     The default for voltmeters is the maker's limits, for temperature the chamber's band, and for rail voltages
-    their tolerance; `bench.calibration.budget.sources` has the other defaults. Unless `temperature` states a
-    correlation time, the deviations of temperature and rail voltages are assumed constant throughout a run.
+    their tolerance; `bench.calibration.budget.sources` has the other defaults. Deviations of rail voltages
+    are assumed constant throughout a run, and so is that of temperature unless it states a correlation time.
     `reference_noise` is the 1/f noise of the references in the voltmeters, per decade of frequency.
     """
 

@@ -112,9 +112,9 @@ class VoltmeterTruth(FileModel):
     amplitude of the mains voltage on the signal, which an integration over whole cycles cancels. `zero_drift`
     is the drift of the zero per hour with autozero off. `flicker` is the standard deviation of the input's
     1/f noise per decade of frequency, `reference_flicker` that of the reference's 1/f noise, as a fraction of
-    the signal. `firmware` lists the versions for the meters of x, y and z; "3-1-1" sends a comma after the
-    last reading. `errors_at_start` are in the error queue at switch-on. With `real_port`, an RS-232 meter
-    loses messages sent between a query and its reply, and stops responding after ten idle minutes.
+    the signal. `firmware` lists versions for the meters of x, y, z, repeated if fewer; "3-1-1" sends a comma
+    after the last reading. `errors_at_start` are in the error queue at switch-on. With `real_port`, an RS-232
+    meter loses messages sent between a query and its reply, and stops responding after ten idle minutes.
     """
 
     noise: bool = True
@@ -372,7 +372,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return {"zero_rad": self.zero, "falling": self.falling}
 
     def simulation_options(self, truth: HeadTruth) -> dict[str, Any]:
-        """Return the options of the simulated head: values of the section, zero and sign of the encoder."""
+        """Return the simulated head's options: values of the section; the encoder's zero, sign, reference."""
         own = {"zero_deg": math.degrees(self.zero), "falling": self.falling, "referenced": truth.homed}
         return super().simulation_options(truth) | own
 

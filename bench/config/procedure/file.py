@@ -184,7 +184,7 @@ class LevelSection(LevelVerb):
 class InstallationVerb(FileModel):
     """Mount the block in the installation `label`, then do the steps.
 
-    `series` is the number of this visit to the installation; by default visits are numbered in sequence. With
+    `series` is the series number of this visit, by default the next free one of the installation. With
     `level`, the platform is levelled before the block is mounted.
     """
 
@@ -504,6 +504,6 @@ class IncludedFile(FileModel):
 
 
 class ProcedureFile(IncludedFile):
-    """A procedure file: an included file that also states the name of a `procedure`."""
+    """A procedure file: a file of steps that must state a name, `procedure`."""
 
     procedure: str

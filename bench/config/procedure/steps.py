@@ -83,7 +83,7 @@ class AtBench(Protocol):
 class ActionVerb(FileModel):
     """A verb of a procedure file that contains no other steps.
 
-    It is allowed inside every other verb, except `power` and `temperature` inside `input`.
+    It is allowed anywhere, except `power` and `temperature` inside `input`.
     """
 
     def plan_steps(self, key: Callable[[str], str]) -> Iterator[Step]:
