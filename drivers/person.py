@@ -105,8 +105,8 @@ class PlaceLevel(TypedDict):
 class ReadLevel(TypedDict):
     """Put a level on the platform, along the shaft or across it, and read its bubble.
 
-    If `turned`, put it there rotated by half a turn. One division is `division_rad`; the scale ends at ±
-    `most_divisions`.
+    If `turned`, it is rotated by half a turn. One division is `division_rad`; the scale ends at
+    ±`most_divisions`.
     """
 
     do: Literal["read_level"]

@@ -224,7 +224,7 @@ class ThermalHysteresis(HasCovariance):
 
 @dataclass(frozen=True)
 class Compensated:
-    """Specific forces (n, 3), local g, with their covariance (n, 3, 3), g², due to the temperature model."""
+    """Specific forces (n, 3), in local g; `covariance` (n, 3, 3), g², is from the temperature model only."""
 
     specific_force: Floats
     covariance: Floats

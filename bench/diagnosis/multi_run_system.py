@@ -65,7 +65,7 @@ class JointSystem(LinearSystem):
         return self.readings.conditions()
 
     def effect_columns(self, applied: AppliedEffect) -> Floats:
-        """Return the change (N, 3) of the rows by an effect in each channel, if the effect acts on all blocks."""
+        """Return what `LinearSystem.effect_columns` returns, for an effect that acts on all blocks."""
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def stage_columns(

@@ -182,9 +182,9 @@ class NamedEffect:
 
 @dataclass(frozen=True)
 class Findings:
-    """The findings that every diagnosis has, of oriented readings, of free positions, or of a record.
+    """The findings common to the diagnoses of oriented readings, of free positions and of a record.
 
-    `of_copy` is the verdict on the copy in which mistakes are corrected; `where` are patterns of residuals;
+    `of_copy` is the verdict on the readings with mistakes corrected; `where` are patterns of residuals;
     `gap` says how well held-out readings are predicted.
     """
 

@@ -222,12 +222,12 @@ _PPM, _MICROVOLT = 1e-6, 1e-6
 class MeterRun:
     """A calibration of one block (its name is `unit`), reduced to the quantities that its voltmeters affect.
 
-    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,) are the
-    logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6) contains the
-    errors that vary from run to run, without those of the meters. Each column of `block` (6, q) is the change of
-    the values due to an error of the block of one standard uncertainty; the error is the same in all runs of the
-    block. `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative gain and of zero
-    (V) within `per_days`.
+    `meters` are the meters' identities by channel; `day` is the time in days from any origin. `values` (6,)
+    are the logarithms of the lengths of the rows of K (in V/g), then the biases in g. `covariance` (6, 6)
+    contains the errors that vary from run to run, without those of the meters. Errors that all runs of the
+    block share have one column each in `block` (6, q): the change of the values for one standard uncertainty.
+    `drift` (3, 2) has, by channel, the standard uncertainties of the changes of relative gain and of zero (V)
+    within `per_days`.
     """
 
     name: str

@@ -107,7 +107,7 @@ def _beginning(file: Path) -> bytes:
 
 
 def own_files(kind: str) -> dict[str, Path]:
-    """Return the working folder's files of a kind (`CONFIG`, `PROCEDURES`) by name, except links out of it."""
+    """Return the working folder's `CONFIG` or `PROCEDURES` files by name, without links leading out of it."""
     here = Path().resolve()
     shipped = shipped_folder(kind).resolve()
     found = {name: (path, path.resolve()) for name, path in choices(kind).items() if "/" not in name}

@@ -61,7 +61,7 @@ class ShortTermPart(ResultModel):
 
 
 class DeviationPart(ResultModel):
-    """Deviation of a number from its centre line, u, and their ratio `z`: of the run, then of the EWMA."""
+    """A number's deviation from its centre line, with its `u` and ratio `z`, for the run and the EWMA."""
 
     deviation: float
     u: float

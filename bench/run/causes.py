@@ -496,8 +496,8 @@ def candidates(history: Sequence[Sighting]) -> list[int]:
 def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
     """Return the likeliest suspect, and the suspects that the readings cannot distinguish from it.
 
-    Of suspects with the same text, only the likeliest is returned. If the likeliest suspect of all has a definite
-    size, shifts of unknown size are left out.
+    Of suspects with the same text, only the likeliest is returned. Shifts of unknown size are left out,
+    unless the likeliest suspect of all is one.
     """
     ranked = {s.text: s for s in sorted(suspects, key=lambda s: -s.cost)}
     best = min(ranked.values(), key=lambda s: s.cost, default=None)
