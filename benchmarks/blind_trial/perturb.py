@@ -84,11 +84,13 @@ def _numeric(value: object) -> bool:
 
 @contextmanager
 def changed(constant: Constant, factor: float) -> Iterator[None]:
-    """Replace the constant's value in every module that has its name, within the context."""
+    """Replace the constant in every module that has it, within the context, also in a worker process."""
+    # the constant came by pickle: the object that modules share is that of its own module
+    own = getattr(importlib.import_module(constant.module), constant.name)
     places = [
         module
         for name, module in list(sys.modules.items())
-        if name.startswith(ROOM) and getattr(module, constant.name, None) is constant.value
+        if name.startswith(ROOM) and getattr(module, constant.name, None) is own
     ]
     for module in places:
         setattr(module, constant.name, constant.times(factor))
@@ -97,7 +99,7 @@ def changed(constant: Constant, factor: float) -> Iterator[None]:
         yield
     finally:
         for module in places:
-            setattr(module, constant.name, constant.value)
+            setattr(module, constant.name, own)
         forget_thresholds()
 
 

@@ -1,11 +1,14 @@
 """The blind trial as a program: enough cases, failures counted, cases sealed."""
 
 import json
+from dataclasses import replace
 
 import pytest
 
+from bench.diagnosis import levels, visibility
 from benchmarks.blind_trial.cases import make_case, seal
 from benchmarks.blind_trial.mistakes import MISTAKES
+from benchmarks.blind_trial.perturb import changed, constants
 from benchmarks.blind_trial.run import FULL, SHORT, kept_in, main
 from benchmarks.blind_trial.signals import signals
 from benchmarks.blind_trial.stand import make_run
@@ -108,3 +111,11 @@ def test_a_diagnosis_that_failed_is_tried_again(tmp_path, capsys):
 def test_a_kind_that_does_not_exist_is_refused(capsys):
     with pytest.raises(SystemExit, match="no kind of case called sorcery"):
         main(["--only", "sorcery"], diagnose=agrees_or_fails)
+
+
+def test_a_perturbed_constant_reaches_every_module_also_in_a_worker():
+    """A worker receives a copy of the value, not the object that the modules share."""
+    (far,) = (replace(one, value=one.value + 0.0) for one in constants() if one.name == "FAR")
+    with changed(far, 1.3):
+        assert levels.FAR == visibility.FAR == pytest.approx(1.3 * far.value)
+    assert levels.FAR == visibility.FAR == far.value
