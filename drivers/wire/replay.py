@@ -319,7 +319,7 @@ class Replay(Connection):
         return True
 
     def wait(self, timeout_s: float) -> bool:
-        """Return whether the next line of the log is data; raise a failure of this phase that stands there.
+        """Return whether the next line of the log is data; raise a failure of this phase that it contains.
 
         A wait with `timeout_s` 0, before a command is sent, finds unsolicited data. Without data, the clock
         advances by `timeout_s`.
