@@ -224,7 +224,7 @@ def alarm_of(
         if causes
         else "Check the mounting and the wiring, then answer."
     )
-    return _alarm(cause, action, " ".join([details, *(f"Or: {other}." for other in causes[1:])]).strip(), "")
+    return _alarm(cause, action, f"{details}." if details else "", "")
 
 
 def _alarm(cause: str, action: str, details: str, do: str) -> dict[str, str]:

@@ -485,17 +485,16 @@ def _misfit(judged: ReadingJudgement, channels: Sequence[str]) -> str:
 def _why(causes: Sequence[Suspect], at_fault: Sighting | None) -> str:
     """Return a phrase on the causes; `at_fault` is an earlier reading that was wrong, if any."""
     listed = "; ".join(cause.text for cause in causes[:MOST_LISTED])
-    if at_fault:
-        if not causes:
-            return message(f"the mistake is at {at_fault.place}, which does not fit the other readings")
-        return message(f"the mistake is at {at_fault.place}, which does not fit the other readings; {listed}")
-    if not causes:
-        return message("no known single mistake explains it")
+    why = message(f"probable cause: {listed}")
     if len(causes) > MOST_LISTED:
-        return message(f"so far {len(causes)} mistakes explain it, the likeliest: {listed}")
-    if len(causes) > 1:
-        return message(f"probable causes: {listed}")
-    return message(f"probable cause: {listed}")
+        why = message(f"so far {len(causes)} mistakes explain it, the likeliest: {listed}")
+    elif len(causes) > 1:
+        why = message(f"probable causes: {listed}")
+    if at_fault is None:
+        return why if causes else message("no known single mistake explains it")
+    if not causes:
+        return message(f"the mistake is at {at_fault.place}, which does not fit the other readings")
+    return message(f"the mistake is at {at_fault.place}, which does not fit the other readings; {why}")
 
 
 def _millivolts(value_v: float, sign: str = "") -> str:

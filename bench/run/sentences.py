@@ -25,7 +25,7 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return message(f"{'stopped' if data.get('confident') else 'note'}: {data['sentence']}")
         case EventType.WENT_ON:
-            return message(f"continued in spite of '{' or '.join(data['causes'])}': {data['reason']}")
+            return message(f"continued in spite of '{'; '.join(data['causes'])}': {data['reason']}")
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return message(f"note: {data['words']}")
         case EventType.STEP_FAILED:
