@@ -134,7 +134,7 @@ def test_a_dry_run_that_stops_ends_with_status_2_and_asks_again_when_resumed(tmp
         with pytest.raises(SystemExit) as ended:
             main(["resume", "run"])
     assert ended.value.code == 0
-    assert "the head was not turned" in capsys.readouterr().out
+    assert "probable cause: the head was not turned" in " ".join(capsys.readouterr().out.split())
     assert Run(tmp_path / "runs" / "run").history.state == "finished"
 
 
