@@ -149,20 +149,15 @@ class Entry:
         return not self.files or any(not file.endswith((".j2", ".js")) for file in self.files.split())
 
     def patterns(self) -> Iterator[tuple[str, re.Pattern[str]]]:
-        """Yield each English form with a regular expression whose groups match the values of its blanks.
-
-        A blank at the start of a clause does not extend over earlier clauses, which end with a semicolon.
-        """
+        """Yield each English form with a regular expression whose groups match the values of its blanks."""
         for text in filter(None, (self.english, self.plural)):
             seen: set[str] = set()
             parts = []
-            of_clause = text.startswith("{") and "; " not in text
             for at, part in enumerate(_BLANK.split(text)):
                 if at % 2 == 0:
                     parts.append(re.escape(part))
                 else:
-                    value = "(?:(?!; ).)*?" if of_clause and at == 1 else ".*?"
-                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>{value})")
+                    parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
                     seen.add(part)
             yield text, re.compile("".join(parts), re.DOTALL)
 

@@ -219,11 +219,11 @@ def alarm_of(
     told = _warning(warning)
     cause, details = _first_sentence(told["words"])
     causes = told["causes"]
-    action = message(
-        f"Probable cause: {causes[0]}. Correct it, then answer."
-        if causes
-        else "Check the mounting and the wiring, then answer."
-    )
+    action = message("Check the mounting and the wiring, then answer.")
+    if len(causes) == 1:
+        action = message(f"Probable cause: {causes[0]}. Correct it, then answer.")
+    elif causes:
+        action = message(f"Find which of these it is, correct it, then answer: {'; '.join(causes)}.")
     return _alarm(cause, action, f"{details}." if details else "", "")
 
 

@@ -325,8 +325,8 @@ class Inquiry:
         part = (weighed * judged.residual).sum(axis=-1)
         left = 1.0 - (weighed * further).sum(axis=-1)
         moved, u = MOVED_RAD * part, MOVED_RAD * np.sqrt(np.maximum(left, 0.0))
-        about = message(f"block or head is {format_dms(abs(moved[0]))} off about the shaft")
-        tilted = message(f"the block is tilted by {format_dms(abs(moved[1]))} out of the plane of rotation")
+        about = message(f"block or head has an angle error of {format_dms(abs(moved[0]))}")
+        tilted = message(f"the block is tilted out of the plane of rotation by {format_dms(abs(moved[1]))}")
         supposed = [Supposition(about, Kind.MOVED), Supposition(tilted, Kind.TILTED)]
         for i, channel in enumerate(CHANNELS):
             off_mv = f"{part[2 + i] * further[2 + i, i] * 1e3:+.3g} mV"

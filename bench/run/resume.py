@@ -241,16 +241,21 @@ def halt_prompt(doubt: Event, *, again: bool = False) -> Prompt:
     why, first = "", message("redo the point, redo the pass")
     answers = [*ANSWERS]
     if again:
-        why = message(f"{AGAIN[0].upper()}{AGAIN[1:]}: an earlier setting of the pass may be wrong. ")
+        why = message(
+            "The reading was measured again and is still in doubt: an earlier setting of the pass may be wrong."
+        )
         first = message("redo the pass (try this first), redo the point")
         answers.sort(key=lambda answer: ANSWERS[answer] is not Wish.REPEAT_PASS)
+    stopped = message(f"Stopped: {doubt.data['sentence']}.")
+    choose = message(
+        f"Correct the cause, then choose: {first}, mount the block again and redo the pass, or keep the "
+        "readings and give a reason"
+    )
+    text = " ".join(filter(None, (stopped, why, choose)))
     return Prompt(
         id=f"halt@{doubt.number}",
         kind=PromptKind.CHOOSE,
-        text=message(
-            f"Stopped: {doubt.data['sentence']}. {why}Correct the cause, then choose: {first}, "
-            "mount the block again and redo the pass, or keep the readings and give a reason"
-        ),
+        text=text,
         choices=(*answers, message("go on REASON")),
         action={"do": "ask"},
     )
@@ -294,7 +299,7 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
             if given.lower() in ANSWERS:
                 raise OperatorWish(RunControl(ANSWERS[given.lower()], by_person=True))
             return given[len(GO_ON) :].strip()
-        trouble = f"Answer one of {answers}, not {given!r}. "
+        trouble = message(f"Answer one of {answers}, not {given!r}.") + " "
     raise BenchError(
         "operator", "no valid answer said how to continue", f"resume the run and answer one of {answers}"
     )

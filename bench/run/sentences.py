@@ -55,9 +55,8 @@ def sentence(event: Event) -> str:
         case EventType.CHOSEN:
             return chosen_in_words(data)
         case EventType.LEFT_SAFE:
-            return message("still to do: ") + "; ".join(
-                f"{name}: {what}" for name, what in data["to_do"].items()
-            )
+            tasks = "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
+            return message(f"still to do: {tasks}")
     return _of_somebody(event) or event.type
 
 

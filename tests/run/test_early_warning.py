@@ -14,6 +14,8 @@ from bench.base.languages import catalogue
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import Reading
 from bench.run.early_warning import EarlyWarning
+from bench.run.events import Event
+from bench.run.resume import halt_prompt
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
 from tests.support.diagnosis_bench import MODEL, PSI
 
@@ -242,10 +244,14 @@ def test_one_channel_that_is_off_once_is_named():
     ],
 )
 def test_each_warning_can_be_read_in_ukrainian(mistaken):
+    """Also as the operator meets it: in the prompt of the stopped run, before and after an invalid answer."""
     signs = watch(run_of(3, **mistaken))
     assert signs
-    for _, sign in signs:
-        for text in (sign.sentence, *sign.causes):
+    for number, sign in signs:
+        doubt = Event(number, "t", 0.0, "early_sign", {"step": 3, **sign.to_json()})
+        stopped = halt_prompt(doubt, again=True).text
+        again = f"Answer one of redo point, redo pass, mount again, go on REASON, not '?'. {stopped}"
+        for text in (sign.sentence, *sign.causes, stopped, again):
             assert not re.findall(r"[a-z]{2,}", catalogue("uk").translate(text).replace("mV", "")), text
 
 

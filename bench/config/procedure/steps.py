@@ -156,7 +156,14 @@ class _AtPoint(Step):
         return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
-        return message(f"{self.place()}, pass {self.pass_number}, point {self.point}")
+        number, point = self.pass_number, self.point
+        visit = "" if self.series == 1 else f" (series {self.series})"
+        if self.installation == SHORTED:
+            return message(f"the shorted input{visit}, pass {number}, point {point}")
+        if self.installation == REFERENCE:
+            return message(f"the reference input{visit}, pass {number}, point {point}")
+        mount = mount_in_words(self.installation, self.series)
+        return message(f"installation {mount}, pass {number}, point {point}")
 
 
 @dataclass(frozen=True, slots=True)

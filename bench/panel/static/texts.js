@@ -11,7 +11,7 @@ const _ = (() => {
     const source = text.split(BLANK).map((part, at) => {
       if (at % 2 === 0) return part.replace(/[.*+?^${}()|[\]\\/]/g, "\\$&");
       names.push(part);
-      return at === 1 && text.startsWith("{") && !text.includes("; ") ? "((?:(?!; ).)*?)" : "(.*?)";
+      return "(.*?)";
     }).join("");
     return { names, pattern: new RegExp(`^${source}$`, "su") };
   };
