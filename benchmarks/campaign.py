@@ -19,7 +19,7 @@ import zlib
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
 
@@ -321,36 +321,6 @@ def by_kind(
         if rows := of.get(kind):
             lines.append(f"{kind:{width}}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
     return "\n".join(lines)
-
-
-def summed(name: str) -> Callable[[Sequence[Any]], int]:
-    """Return a function that sums the attribute `name` over outcomes; a list counts by its length."""
-
-    def count(rows: Sequence[Any]) -> int:
-        values = [getattr(row, name) for row in rows]
-        return sum(len(value) if isinstance(value, list) else value for value in values)
-
-    return count
-
-
-@dataclass
-class Tried:
-    """The outcome of a run with a disturbance: whether it ended, whether it was resumed, and its faults."""
-
-    trial: Any
-    completed: bool = False
-    resumed: bool = False
-    time_s: float = 0.0
-    wrong_values: int = 0
-    said: str = ""
-    violations: list[str] = field(default_factory=list)
-
-    def judge_stop(self, status: Any) -> None:
-        """Note a fault unless a stopped run states its reason in lines of its own, without a traceback."""
-        if status != 2:
-            self.violations.append(f"exit status {status}: {self.said.strip()}")
-        if "Traceback" in self.said or "unexpected" in self.said:
-            self.violations.append(f"not one of our errors: {self.said.strip()}")
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:
