@@ -16,7 +16,6 @@ import resource
 import sys
 import time
 import zlib
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -33,8 +32,6 @@ from bench.model.geometry import COEFFICIENTS
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; main()")
-EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
-"""Replaces the figures of pages, which would take most of the time."""
 
 Row = Sequence[object]
 """A row of a table."""
@@ -301,26 +298,6 @@ def markdown(heads: Row, rows: Iterable[Row]) -> Iterator[str]:
     yield f"|{'---|' * len(heads)}"
     for cells in rows:
         yield f"| {' | '.join(map(str, cells))} |"
-
-
-def by_kind(
-    outcomes: Sequence[Result],
-    kinds: Iterable[str],
-    kind_of: Callable[[Result], str],
-    counts: Mapping[str, Callable[[Sequence[Result]], object]],
-) -> str:
-    """Return a table of `counts` over the outcomes of each kind, and over all outcomes."""
-    of: dict[str, list[Result]] = defaultdict(list)
-    for outcome in outcomes:
-        of[kind_of(outcome)].append(outcome)
-        of["all"].append(outcome)
-    names = (*kinds, "all")
-    width = max(16, *(len(name) + 1 for name in names))
-    lines = [f"{'':{width}}" + "".join(f"{heading:>11}" for heading in counts)]
-    for kind in names:
-        if rows := of.get(kind):
-            lines.append(f"{kind:{width}}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
-    return "\n".join(lines)
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:

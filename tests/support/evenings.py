@@ -47,7 +47,7 @@ from bench.run.folder import RESULTS, Run
 from bench.run.person import OpenPrompt
 from bench.run.record import Record
 from bench.services.execution import taken_up
-from benchmarks.campaign import EMPTY_FIGURE, ROOT, Said, command
+from benchmarks.campaign import ROOT, Said, command
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock
 from tests.support.answering import answer_to
@@ -127,7 +127,6 @@ class Desk:
 
             stack.enter_context(mock.patch.object(Record, "append", followed))
             stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
-            stack.enter_context(mock.patch("bench.results.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
             stack.enter_context(self.browser.client)  # one event loop, in which the panel follows runs
             yield self
