@@ -16,10 +16,9 @@ import resource
 import sys
 import time
 import zlib
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple, NoReturn, TextIO, TypeVar
 
@@ -33,8 +32,6 @@ from bench.model.geometry import COEFFICIENTS
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 PROGRAM: Final = (sys.executable, "-c", "from bench.cli.program import main; main()")
-EMPTY_FIGURE: Final = '<svg viewBox="0 0 1 1"></svg>'
-"""Replaces the figures of pages, which would take most of the time."""
 
 Row = Sequence[object]
 """A row of a table."""
@@ -301,56 +298,6 @@ def markdown(heads: Row, rows: Iterable[Row]) -> Iterator[str]:
     yield f"|{'---|' * len(heads)}"
     for cells in rows:
         yield f"| {' | '.join(map(str, cells))} |"
-
-
-def by_kind(
-    outcomes: Sequence[Result],
-    kinds: Iterable[str],
-    kind_of: Callable[[Result], str],
-    counts: Mapping[str, Callable[[Sequence[Result]], object]],
-) -> str:
-    """Return a table of `counts` over the outcomes of each kind, and over all outcomes."""
-    of: dict[str, list[Result]] = defaultdict(list)
-    for outcome in outcomes:
-        of[kind_of(outcome)].append(outcome)
-        of["all"].append(outcome)
-    names = (*kinds, "all")
-    width = max(16, *(len(name) + 1 for name in names))
-    lines = [f"{'':{width}}" + "".join(f"{heading:>11}" for heading in counts)]
-    for kind in names:
-        if rows := of.get(kind):
-            lines.append(f"{kind:{width}}" + "".join(f"{count(rows)!s:>11}" for count in counts.values()))
-    return "\n".join(lines)
-
-
-def summed(name: str) -> Callable[[Sequence[Any]], int]:
-    """Return a function that sums the attribute `name` over outcomes; a list counts by its length."""
-
-    def count(rows: Sequence[Any]) -> int:
-        values = [getattr(row, name) for row in rows]
-        return sum(len(value) if isinstance(value, list) else value for value in values)
-
-    return count
-
-
-@dataclass
-class Tried:
-    """The outcome of a run with a disturbance: whether it ended, whether it was resumed, and its faults."""
-
-    trial: Any
-    completed: bool = False
-    resumed: bool = False
-    time_s: float = 0.0
-    wrong_values: int = 0
-    said: str = ""
-    violations: list[str] = field(default_factory=list)
-
-    def judge_stop(self, status: Any) -> None:
-        """Note a fault unless a stopped run states its reason in lines of its own, without a traceback."""
-        if status != 2:
-            self.violations.append(f"exit status {status}: {self.said.strip()}")
-        if "Traceback" in self.said or "unexpected" in self.said:
-            self.violations.append(f"not one of our errors: {self.said.strip()}")
 
 
 def amiss(found: Sequence[str], word: str = "VIOLATION", most: int | None = None) -> int:

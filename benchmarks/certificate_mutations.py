@@ -18,6 +18,7 @@ import io
 import re
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -36,7 +37,7 @@ from bench.certificate.signatory import new_certificate_key, signatory_of
 from bench.certificate.signatures import NotIntact, check_xml, sign_pdf, sign_xml
 from bench.certificate.verify import verify_certificate
 from bench.config.shipped import CERTIFICATE, shipped_folder
-from benchmarks.campaign import arguments, by_kind, done
+from benchmarks.campaign import arguments, done, markdown
 
 REFUSED, UNCHANGED, CHANGED = "refused", "unchanged", "CHANGED"
 _DIGITS: Final = b"0123456789"
@@ -285,9 +286,12 @@ def main() -> int:
         done("run", "quick", "--dry-run", "--name", "unit-17", "--runs", folder / "runs")
         pair = signed_pair(folder / "runs" / "unit-17", folder)
         found = list(trials(pair, asked.number, asked.seed, folder))
-    columns = (REFUSED, UNCHANGED, CHANGED)
-    counts = {one: lambda rows, one=one: sum(came == one for _, came in rows) for one in columns}
-    print(by_kind(found, KINDS, lambda row: row[0], counts))
+    columns, counts = (REFUSED, UNCHANGED, CHANGED), Counter(found)
+    print(
+        "\n".join(
+            markdown(("", *columns), ((kind, *(counts[kind, one] for one in columns)) for kind in KINDS))
+        )
+    )
     return 1 if any(came == CHANGED for _, came in found) else 0
 
 

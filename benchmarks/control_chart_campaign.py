@@ -1,12 +1,11 @@
-"""Test the promises of control charts: false rejections per run, and mean run lengths against published ones.
+"""Test the promises of control charts: false rejections per run.
 
     python -m benchmarks.control_chart_campaign --runs 1000000 --seed 1
 
 The charts are of the nine intrinsic numbers, which do not depend on the mounting. `--runs` is the number of chart
-points in each row of the tables (a tenth of it in the second). All three tables are printed, or one of them. The
-first lists false rejections of charts with short baselines, for each basis of limits and for a correct or wrong
-stated u. In the second, the stated u of only one number is wrong. The third compares mean run lengths of
-Shewhart, EWMA and MEWMA charts: published, simulated, and from the integral equation.
+points in each row of the tables (a tenth of it in the second). Both tables are printed, or one of them. The first
+lists false rejections of charts with short baselines, for each basis of limits and for a correct or wrong stated u.
+In the second, the stated u of only one number is wrong.
 """
 
 from collections import defaultdict
@@ -24,10 +23,7 @@ from bench.stats.control_charts import (
     ChartDesign,
     centre_of,
     components_of,
-    ewma_arl,
     judge,
-    mewma_arl,
-    shewhart_arl,
     short_term,
 )
 from benchmarks.campaign import Row, arguments, markdown
@@ -38,26 +34,6 @@ LATER: Final = 25
 CHARTS: Final = 200
 READING_DOF: Final = 36.0
 """Degrees of freedom of the short-term standard deviation of one run of the procedure 'paper'."""
-
-EWMA: Final = {
-    (0.40, 3.054): (500, 224, 71.2, 28.4, 14.3, 5.9, 3.5, 2.5, 2.0, 1.4),
-    (0.25, 2.998): (500, 170, 48.2, 20.1, 11.1, 5.5, 3.6, 2.7, 2.3, 1.7),
-    (0.20, 2.962): (500, 150, 41.8, 18.2, 10.5, 5.5, 3.7, 2.9, 2.4, 1.9),
-    (0.10, 2.814): (500, 106, 31.3, 15.9, 10.3, 6.1, 4.4, 3.4, 2.9, 2.2),
-    (0.05, 2.615): (500, 84.1, 28.8, 16.4, 11.4, 7.1, 5.2, 4.2, 3.5, 2.7),
-}
-SHIFTS: Final = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
-"""Shifts in standard deviations.
-
-Source: Lucas and Saccucci (1990), table 3, quoted in D. C. Montgomery, Introduction to Statistical Quality
-Control.
-"""
-SHEWHART: Final = {0.0: 370.4, 0.5: 155.2, 1.0: 43.9, 1.5: 15.0, 2.0: 6.3, 3.0: 2.0}
-MEWMA: Final = {(2, 0.1, 8.64): 200.0, (4, 0.1, 12.73): 200.0, (10, 0.1, 22.67): 200.0}
-"""Published in-control run lengths by dimension, lambda and limit.
-
-Source: Prabhu and Runger (1997), quoted in Montgomery.
-"""
 
 
 def stated_covariance(seed: int = 7) -> Floats:
@@ -159,66 +135,13 @@ def wrong(points: int, seed: int) -> Iterator[Row]:
         yield basis, runs, f"{one:g}", relative(found["T²"], nominal()["T²"]), noticed
 
 
-def run_lengths(
-    rng: np.random.Generator, smoothing: float, limit: float, shift: float, count: int, p: int = 1
-) -> Floats:
-    """Return the run lengths (count,) of charts with known parameters and asymptotic limits.
-
-    The statistic is z² of the EWMA of one value, or T² of the EWMA of `p` values. `limit` is its upper limit,
-    `shift` the shift of the first coordinate, in standard deviations.
-    """
-    state = np.zeros((count, p))
-    lengths, alive = np.zeros(count), np.arange(count)
-    variance = smoothing / (2.0 - smoothing)
-    step = 0
-    while len(alive):
-        step += 1
-        value = rng.normal(size=(len(alive), p))
-        value[:, 0] += shift
-        state = smoothing * value + (1.0 - smoothing) * state
-        out = np.einsum("np,np->n", state, state) / variance > limit
-        lengths[alive[out]] = step
-        alive, state = alive[~out], state[~out]
-    return lengths
-
-
-def lengths(points: int, seed: int) -> Iterator[Row]:
-    """Yield the rows of the third table, with about `points` chart points each."""
-    rng = np.random.default_rng(seed)
-    print("\nMean run lengths; simulated ± standard error:")
-    yield "chart", "shift / s", "published", "integral equation", "simulated", "/ published"
-    for shift, published in SHEWHART.items():
-        yield length_row("Shewhart k = 3", rng, 1.0, 9.0, shift, published, shewhart_arl(3.0, shift), points)
-    for (smoothing, k), row in EWMA.items():
-        name = f"EWMA λ = {smoothing:g}, L = {k}"
-        for shift, published in zip(SHIFTS, row, strict=True):
-            exact = ewma_arl(smoothing, k, shift)
-            yield length_row(name, rng, smoothing, k * k, shift, published, exact, points)
-    for (p, smoothing, limit), published in MEWMA.items():
-        name = f"MEWMA p = {p}, λ = {smoothing:g}, h = {limit}"
-        exact = mewma_arl(smoothing, limit, p)
-        yield length_row(name, rng, smoothing, limit, 0.0, published, exact, points, p)
-
-
-def length_row(
-    name: str, rng: np.random.Generator, smoothing: float, limit: float, shift: float, published: float,
-    exact: float, points: int, p: int = 1,
-) -> Row:  # fmt: skip
-    """Return a row of the third table."""
-    found = run_lengths(rng, smoothing, limit, shift, max(1000, int(points / published)), p)
-    mean, u = float(found.mean()), float(found.std(ddof=1) / np.sqrt(len(found)))
-    return (
-        name, f"{shift:g}", f"{published:g}", f"{exact:.4g}", f"{mean:.4g} ± {u:.2g}", f"{mean / published:.3f}",
-    )  # fmt: skip
-
-
-TABLES: Final = {"rejections": rejections, "wrong": wrong, "lengths": lengths}
+TABLES: Final = {"rejections": rejections, "wrong": wrong}
 
 
 def main() -> None:
     asked = arguments(
         __doc__, runs=(1000000, "chart points of each row"), seed=1,
-        table={"choices": TABLES, "help": "one of the three alone"},
+        table={"choices": TABLES, "help": "one of the two alone"},
     )  # fmt: skip
     for name, table in TABLES.items():
         if asked.table in (None, name):

@@ -40,23 +40,16 @@ TIES: dict[str, tuple[str, str]] = {
     "backlash – zero_offset": ("backlash.play", "zero_offset.angle"),
     "axis_wobble (once, sine) – zero_offset": ("axis_wobble.sine*1", "zero_offset.angle"),
     "mounting_error 1 – mounting_offset 2": ("mounting_error.angle@1", "mounting_offset.angle@2"),
-    "turn_on_shift z – bracket_tilt 2": ("turn_on_shift.step[z]@2", "bracket_tilt.angle@2"),
     "voltmeter_drift – bias_drift xyz": ("voltmeter_drift.rate", "bias_drift.rate[xyz]"),
-    "voltmeter_nonlinearity (square) – quadratic_nonlinearity xyz": (
-        "voltmeter_nonlinearity.q2", "quadratic_nonlinearity.K2[xyz]",
-    ),
-    "bias_drift y – turn_on_shift y": ("bias_drift.rate[y]", "turn_on_shift.step[y]@2"),
     "cubic_nonlinearity – odd_quadratic_nonlinearity (y)": (
         "cubic_nonlinearity.K3[y]", "odd_quadratic_nonlinearity.Koq[y]",
     ),
     "quadratic_nonlinearity – scale_asymmetry (y)": ("quadratic_nonlinearity.K2[y]", "scale_asymmetry.Kabs[y]"),
     "head_ellipticity (sine) – cubic_nonlinearity xyz": ("head_ellipticity.sine", "cubic_nonlinearity.K3[xyz]"),
-    "axis_wobble (twice, sine) – cross_coupling yz": ("axis_wobble.sine*2", "cross_coupling.Kpo[yz]"),
-    "channel_crosstalk – cross_coupling, all terms": ("channel_crosstalk.fraction", "cross_coupling.all[xyz]"),
 }  # fmt: skip
 """Pairs of forms that are hard to distinguish.
 
-A form is written as effect, parameter (or all), `*` harmonic, channels, `@` installation.
+A form is written as effect, parameter, `*` harmonic, channels, `@` installation.
 """
 _FORM = re.compile(r"(\w+)\.(\w+)(?:\*(\d))?(?:\[(\w+)\])?(?:@(\d))?")
 
@@ -67,11 +60,10 @@ def form_of(text: str) -> Form:
     if found is None:
         raise ValueError(text)
     family, parameter, harmonic, channels, mount = found.groups()
-    names = [p.name for p in CATALOGUE[family].parameters] if parameter == "all" else [parameter]
     shape = (("harmonic", float(harmonic)),) if harmonic else ()
     mounts = (mount,) if mount else ()
     where = ["xyz".index(c) for c in channels] if channels else [None]
-    return tuple(EffectPart(family, name, shape, mounts, channel) for name in names for channel in where)
+    return tuple(EffectPart(family, parameter, shape, mounts, channel) for channel in where)
 
 
 @dataclass

@@ -13,9 +13,9 @@ from bench.panel import app as connections
 from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, STATE, Access, Role
 from bench.panel.app import OncePerMinute
 from bench.panel.shared import LOG
-from benchmarks.panel_fuzz import RECORD as RECORDS
-from benchmarks.panel_fuzz import Request, send
 from tests.support.panel_client import OWN, Browser, stranger
+from tests.support.panel_fuzz import RECORD as RECORDS
+from tests.support.panel_fuzz import Request, send
 from tests.support.served_panel import served
 
 HEAD = "{} HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"

@@ -1,6 +1,7 @@
 """Whatever a client sends, the simulated instruments live on; the text is of what they understand."""
 
 import random
+import re
 from collections.abc import Callable
 
 import pytest
@@ -10,6 +11,8 @@ from sim.agilent_34401a import Agilent34401A
 from sim.chambers import EspecP300, Thermotron8800, WatlowF4T
 from sim.counters import EncoderLine, HeidenhainNd28x, LineThermometer, MitutoyoMux10
 from sim.keithley_2000 import Keithley2000
+from sim.keysight_34461a import Keysight34461A
+from sim.keysight_34970a import Keysight34970A
 from sim.newport_esp301 import Esp301
 from sim.scpi import never
 from sim.wires.session import Dialect
@@ -57,7 +60,18 @@ KINDS: dict[str, tuple[Callable[[World], Dialect], str]] = {
     "thermotron": (Thermotron8800, HEADS_AND_CHAMBERS),
     "34401a": (lambda world: Agilent34401A(world.terminals("x"), world.clock), SCPI),
     "2000": (lambda world: Keithley2000(world.terminals("x"), world.clock), SCPI),
+    "34461a": (lambda world: Keysight34461A(world.terminals("x"), world.clock), SCPI),
+    "34970a": (
+        lambda world: Keysight34970A({k: world.terminals("x") for k in (101, 102, 103)}, world.clock),
+        SCPI + " ROUT:SCAN ROUT:CHAN:DEL (@101,102) (@101:1e9) (@ R? #H1F",
+    ),
 }
+METERS = (Agilent34401A, Keithley2000, Keysight34461A, Keysight34970A)
+NEVER = (
+    "VOLT:DC:RANG kaputt", "NONSENSE:HEADER 1", "VOLT:DC:NPLC ,", "*IDN", "SAMP:COUN -1", "*SRE 999",
+    "READ? (((", "VOLT:DC:RANG 1e999",
+)  # fmt: skip
+"""Messages that each voltmeter must refuse."""
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -72,9 +86,14 @@ def test_nothing_that_is_sent_breaks_it(kind: str) -> None:
         message = generator.choice(("", " ")).join(parts).encode("latin-1")
         reply = dialect.handle(message + b"9" * generator.choice((0, 0, 5000)), never)
         assert reply is None or reply.isascii()
+        assert reply is None or not isinstance(dialect, METERS) or reply.strip().decode().isprintable()
         world.clock.sleep(generator.choice((0.0, 0.3, 2.0)))
     assert abs(world.scale_angle_rad) < 1e6
     assert -80.0 < world.chamber_c < 200.0
-    if isinstance(dialect, Agilent34401A | Keithley2000):
+    if isinstance(dialect, METERS):
         dialect.device_clear()
         assert tell(dialect, "*RST;*CLS;*IDN?") == dialect.identity
+        for message in NEVER:
+            tell(dialect, "*RST;*CLS")
+            tell(dialect, message)
+            assert not re.match(r"[+]?0,", str(tell(dialect, "SYST:ERR?"))), message

@@ -20,8 +20,6 @@ from bench.stats.control_charts import (
     without_one,
 )
 from bench.validation.registry import REFERENCE
-from benchmarks.control_chart_campaign import EWMA as LUCAS_SACCUCCI
-from benchmarks.control_chart_campaign import SHIFTS
 
 HANDBOOK = np.array([
     52.0, 47.0, 53.0, 49.3, 50.1, 47.0, 51.0, 50.1, 51.2, 50.5,
@@ -32,6 +30,19 @@ EWMA = np.array([
     50.11, 49.36, 49.52, 50.05, 49.38, 49.92, 50.73, 51.23, 51.94, 51.99,
 ])  # fmt: skip
 """NIST/SEMATECH e-Handbook, 6.3.2.4: mean 50, s = 2.0539, lambda = 0.3, limits 52.5884 and 47.4115."""
+LUCAS_SACCUCCI = {
+    (0.40, 3.054): (500, 224, 71.2, 28.4, 14.3, 5.9, 3.5, 2.5, 2.0, 1.4),
+    (0.25, 2.998): (500, 170, 48.2, 20.1, 11.1, 5.5, 3.6, 2.7, 2.3, 1.7),
+    (0.20, 2.962): (500, 150, 41.8, 18.2, 10.5, 5.5, 3.7, 2.9, 2.4, 1.9),
+    (0.10, 2.814): (500, 106, 31.3, 15.9, 10.3, 6.1, 4.4, 3.4, 2.9, 2.2),
+    (0.05, 2.615): (500, 84.1, 28.8, 16.4, 11.4, 7.1, 5.2, 4.2, 3.5, 2.7),
+}
+SHIFTS = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0)
+"""Shifts in standard deviations.
+
+Source: Lucas and Saccucci (1990), table 3, quoted in D. C. Montgomery, Introduction to Statistical Quality
+Control.
+"""
 
 
 def known(mean: float, p: int = 1) -> Centre:

@@ -8,11 +8,24 @@ from typing import Any
 
 import numpy as np
 
+from bench.config.shipped import find_bench
 from bench.model.geometry import COEFFICIENTS
-from benchmarks.many_folders import bench_text
 
 VECTOR = (-2.177, -0.018, 0.025, 0.027, -2.14, 0.033, 0.007, 0.006, -2.144, 0.071, -0.196, -0.412)
 U = 2e-5
+METER = """\
+    - driver: keysight-34461a
+      channels: [%(channel)s]
+      resource: "TCPIP0::192.0.2.%(place)d::5025::SOCKET"
+      range: 10 V
+      certificate:
+        number: "%(number)s"
+        laboratory: Accredited Laboratory
+        date: %(year)d-01-02
+        valid_until: %(year)d-12-31
+        serial: %(serial)s
+        values: [{range: 10 V, gain: {U: 4 ppm, k: 2}, offset: {U: 5 uV, k: 2}}]
+"""
 
 
 def write_run(
@@ -117,3 +130,19 @@ def write_result(folder: Path, vector: Any, head: str) -> None:
         "record": {"head": head},
     }
     (folder / "calibrate.json").write_text(json.dumps(result), encoding="utf-8")
+
+
+def bench_text(name: str, serials: tuple[str, ...], year: int, kind: str) -> str:
+    """Return the paper's bench file with another name, whose meters have certificates of a year."""
+    text = find_bench("paper-stand").read_text(encoding="utf-8")
+    text = "\n".join(line for line in text.splitlines() if not line.strip().startswith("#")) + "\n"
+    before, rest = text.split("  voltmeters:\n")
+    after = rest[rest.index("  head:") :]
+    meters = ""
+    for k, (channel, serial) in enumerate(zip("xyz", serials, strict=True)):
+        number = f"{year}-{serial[-5:]}"
+        meters += METER % {
+            "channel": channel, "place": 20 + k, "serial": serial, "year": year, "number": number,
+        }  # fmt: skip
+    text = f"{before}  voltmeters:\n{meters}{after}".replace("name: paper-stand", f"name: {name}")
+    return text.replace("type: triaxial block of the paper", f"type: {kind}")

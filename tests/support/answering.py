@@ -1,7 +1,5 @@
 """Kill dry runs at random moments, answer their questions well and badly, and resume each until it ends.
 
-    python -m benchmarks.answering_campaign --runs 40 --seed 1
-
 Each dry run asks a person, and is carried out by a separate program on a terminal. The answer to each
 question is typed, left in the run's folder, or both at once. Stale, unsuitable or malformed answers precede
 it. At random moments the program is killed (SIGKILL) and the run resumed, with a terminal or without. Each
@@ -18,8 +16,6 @@ import os
 import random
 import re
 import subprocess
-import sys
-import tempfile
 import time
 import zlib
 from collections import Counter
@@ -32,7 +28,7 @@ from bench.run.events import Event
 from bench.run.folder import Run
 from bench.run.person import ANSWERS, LeftAnswer, OpenPrompt, WishAuthor, leave_answer, understood_answer
 from bench.run.record import parse_line, read_history
-from benchmarks.campaign import PROGRAM, arguments
+from benchmarks.campaign import PROGRAM
 from drivers.angles import format_dms, parse_angle
 from drivers.person import Prompt, PromptKind
 
@@ -244,29 +240,3 @@ def differences(run: Run, expected: Run) -> list[str]:
         if not np.array_equal(getattr(ours, column), getattr(theirs, column)):
             wrong.append(f"{column} differs from an undisturbed run")
     return wrong
-
-
-def answer_many(folder: Path, runs: int, kills: int, seed: int) -> list[str]:
-    """Carry out `runs` runs with answers and kills; return sentences on all faults."""
-    expected, _ = one(0, folder, seed=seed, kills=0, calm=True)
-    done: Counter[str] = Counter()
-    failed = [f"undisturbed: {text}" for text in amiss(expected)]
-    for number in range(1, runs + 1):
-        run, did = one(number, folder, seed=seed, kills=number % (kills + 1))
-        done += did
-        failed += [f"run {number}: {text}" for text in [*differences(run, expected), *amiss(run)]]
-        print(f"{number} runs, {done['killed']} kills, {len(failed)} faults", flush=True)
-    print(", ".join(f"{what}: {times}" for what, times in sorted(done.items())))
-    return failed
-
-
-def main() -> None:
-    given = arguments(__doc__, runs=40, kills=(4, "at most, of each run"), seed=1)
-    with tempfile.TemporaryDirectory() as name:
-        failed = answer_many(Path(name), given.runs, given.kills, given.seed)
-    print(*failed, sep="\n")
-    sys.exit(1 if failed else 0)
-
-
-if __name__ == "__main__":
-    main()

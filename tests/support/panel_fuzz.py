@@ -1,21 +1,15 @@
-"""Test the panel with requests that no browser would send: methods, paths, headers, bodies, tokens, origins, sizes.
+"""Requests that no browser would send: methods, paths, headers, bodies, tokens, origins, sizes.
 
-    python -m benchmarks.panel_fuzz --requests 10000 --seed 1
-
-The requests go to the application directly, past any server that would correct them. The report lists each
-request that was answered with 5xx, changed a file without the right to, or showed content from outside the
-folder of runs; it adds the growth of memory and the slowest request.
+The requests go to the application directly, past any server that would correct them. A fault is
+each request that was answered with 5xx, changed a file without the right to, or showed content from outside the
+folder of runs.
 """
 
 import asyncio
-import gc
 import json
 import math
 import random
 import shutil
-import tempfile
-import time
-import tracemalloc
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -30,7 +24,6 @@ from bench.panel.holding import JOURNAL
 from bench.run.events import EVENTS
 from bench.run.person import ANSWERS, CONTROL, asked_to_json, problem_with_answer
 from bench.run.record import Record
-from benchmarks.campaign import amiss, arguments
 from drivers.clock import utc_now
 from drivers.person import Prompt, PromptKind
 
@@ -237,10 +230,10 @@ class Requests:
         return self._random.choice(texts).encode("latin-1", "replace")
 
 
-# --- the campaign ----------------------------------------------------------------------------------------
+# --- the panel ----------------------------------------------------------------------------------------
 
 
-RECORD = Path(__file__).parents[1] / "tests" / "data" / "records"
+RECORD = Path(__file__).parents[1] / "data" / "records"
 MAY_CHANGE = {"holding.jsonl", "answers.jsonl", "control.jsonl", ".holding.jsonl.lock"}
 """Files in a run's folder that an entitled person may change."""
 
@@ -257,22 +250,13 @@ Tree = dict[str, tuple[int, int]]
 class Outcome:
     """The outcome of the requests.
 
-    `wrong` are sentences on faults, `statuses` counts by status, `grown` the growth of memory after the first
-    quarter, bytes. `took` are the requests with the CPU time of each, s.
+    `wrong` are sentences on faults, `statuses` counts by status.
     """
 
     requests: int = 0
     statuses: Counter[int] = field(default_factory=Counter)
     entitled: int = 0
     wrong: list[str] = field(default_factory=list)
-    grown: int = 0
-    took: list[tuple[float, str]] = field(default_factory=list)
-
-    def times(self) -> str:
-        """Return the CPU times of the requests as text, s: the median, and the slowest request."""
-        ranked = sorted(self.took)
-        median_s, (most_s, sent) = ranked[len(ranked) // 2][0], ranked[-1]
-        return f"of CPU: median {1e3 * median_s:.1f} ms, most {1e3 * most_s:.0f} ms: {sent}"
 
 
 class Place:
@@ -384,22 +368,16 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
     names = sorted(run.name for run in place.runs.iterdir())
     outcome, requests = Outcome(), Requests(seed, place.actors, names)
     prepare(place.app.state.panel)
-    before, quarter = place.tree(), 0
-    tracemalloc.start()
+    before = place.tree()
     with mock.patch("bench.panel.launching.subprocess.Popen", side_effect=OSError(12, "no process")) as popen:
-        for number in range(count):
-            if number == count // 4:
-                gc.collect()
-                quarter = tracemalloc.get_traced_memory()[0]
+        for _ in range(count):
             request = requests.draw()
             started = popen.call_count
-            begun = time.process_time()
             try:
                 status, body = await send(place.app, request)
             except Exception as error:
                 outcome.wrong.append(f"{request}: {type(error).__name__}: {error}")
                 continue
-            outcome.took.append((time.process_time() - begun, str(request)))
             outcome.requests += 1
             outcome.statuses[status] += 1
             outcome.entitled += request.entitled
@@ -408,9 +386,6 @@ async def fuzz(place: Place, count: int, seed: int) -> Outcome:
             before = after
             outcome.wrong += judged(place, request, status, body, changed, started=popen.call_count - started)
     outcome.wrong += place.told()
-    gc.collect()
-    outcome.grown = tracemalloc.get_traced_memory()[0] - quarter
-    tracemalloc.stop()
     return outcome
 
 
@@ -435,21 +410,3 @@ def judged(
     if request.method in CHANGES and not request.entitled and status < 300:
         wrong.append(f"{request}: answered {status} without the right to")
     return wrong
-
-
-def main() -> None:
-    asked = arguments(__doc__, requests=10000, seed=1)
-    with tempfile.TemporaryDirectory() as folder:
-        place = Place(Path(folder))
-        outcome = asyncio.run(fuzz(place, asked.requests, asked.seed))
-    print(f"{outcome.requests} requests, {outcome.entitled} with the right to")
-    print("statuses: " + ", ".join(f"{status}: {n}" for status, n in sorted(outcome.statuses.items())))
-    print(outcome.times())
-    print(f"memory since a quarter of them: {outcome.grown / 1e6:+.2f} MB")
-    status = amiss(outcome.wrong, "WRONG", 20)
-    print(f"{len(outcome.wrong)} answered wrongly")
-    raise SystemExit(status)
-
-
-if __name__ == "__main__":
-    main()

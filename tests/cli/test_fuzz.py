@@ -1,24 +1,26 @@
-"""A short fuzz campaign (seed 20261122), and that the good inputs behind it are taken and the judges see."""
+"""Unusual inputs (seed 20261122), and that the good inputs behind them are taken and the judges see."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from benchmarks import fuzz_campaign, fuzz_inputs
-from benchmarks.fuzz_campaign import called, own_folder, tried
-from benchmarks.fuzz_inputs import as_csv, as_yaml, readings, result, shipped
+from tests.support import fuzz, fuzz_inputs
+from tests.support.campaigns import seeds
+from tests.support.fuzz import called, own_folder, tried
+from tests.support.fuzz_inputs import as_csv, as_yaml, readings, result, shipped
 
 SEED = 20261122
 QUICK = 3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", fuzz_campaign.KINDS)
-def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("seed", seeds(SEED))
+@pytest.mark.parametrize("kind", fuzz.KINDS)
+def test_a_few_inputs_of_each_kind_bring_sentences_alone(kind: str, seed: int, tmp_path: Path) -> None:
     for number in range(QUICK):
         with own_folder(tmp_path):
-            assert tried(kind, SEED, number) == []
+            assert tried(kind, seed, number) == []
 
 
 @pytest.mark.slow
@@ -43,8 +45,8 @@ def test_the_inputs_are_made_of_good_ones(tmp_path: Path) -> None:
 
 
 def test_what_is_made_is_made_again_from_seed_and_number() -> None:
-    for kind, make in fuzz_campaign.MAKERS.items():
-        one, two = (make(fuzz_campaign.generator(kind, SEED, 7)) for _ in "ab")
+    for kind, make in fuzz.MAKERS.items():
+        one, two = (make(fuzz.generator(kind, SEED, 7)) for _ in "ab")
         assert one == two
 
 
@@ -63,16 +65,10 @@ def test_what_is_made_is_made_again_from_seed_and_number() -> None:
 def test_a_broken_promise_is_seen(out: str, err: str, status: int, what: str) -> None:
     case = fuzz_inputs.Case([["calibrate", "r.csv", "--json", "-"]])
     out = out or ("{}" if status == 0 else "")
-    assert what in {kind for kind, _ in fuzz_campaign.judged(case, status, out, err, 0)}
+    assert what in {kind for kind, _ in fuzz.judged(case, status, out, err, 0)}
 
 
 def test_what_must_be_refused_and_is_not_is_seen() -> None:
     case = fuzz_inputs.Case([["check", "p.yaml"]], refuse="a key that stands twice")
-    assert [what for what, _ in fuzz_campaign.judged(case, 0, "fine", "", 0)] == ["accepted"]
-    assert [what for what, _ in fuzz_campaign.judged(case, 2, "", "bench: no", 0)] == []
-
-
-@pytest.mark.slow
-def test_processes_try_inputs_and_a_table_tells(capsys: pytest.CaptureFixture[str]) -> None:
-    assert fuzz_campaign.main(["--inputs", "27", "--seed", str(SEED), "--kinds", "scpi", "answers"]) == 0
-    assert capsys.readouterr().out.splitlines()[-2].split()[:2] == ["all", "6"]
+    assert [what for what, _ in fuzz.judged(case, 0, "fine", "", 0)] == ["accepted"]
+    assert [what for what, _ in fuzz.judged(case, 2, "", "bench: no", 0)] == []

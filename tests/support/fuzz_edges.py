@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.campaign import ROOT
-from benchmarks.fuzz_inputs import WEIRD, Case, as_csv, as_yaml, at, places, readings, shipped
+from tests.support.fuzz_inputs import WEIRD, Case, as_csv, as_yaml, at, places, readings, shipped
 
 DIGITS: Final = {
     name: str.maketrans("0123456789", "".join(chr(zero + k) for k in range(10)))

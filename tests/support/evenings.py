@@ -1,6 +1,4 @@
-"""Test that no sequence of commands, failures and kills ever loses a record of a run.
-
-    python -m benchmarks.commands_campaign --transitions 3000 --seed 1
+"""No sequence of commands, failures and kills ever loses a record of a run.
 
 A state machine (hypothesis) starts from an empty folder and uses `run`, `resume`, `abort`, `calibrate`, `report`,
 `export`, `seal` and the panel's buttons. The bench has three voltmeters served on loopback and a head that a person
@@ -10,8 +8,6 @@ results are missing.
 
 After every step: each record only grew and `show --verify` succeeds; no record has a reading twice; every command
 that the program recommends is possible; and if all meters are on, `resume` completes a run with all its results.
-The counts of all actions are printed. The exit status is 1 after any fault, which is printed with the steps that
-led to it.
 """
 
 from __future__ import annotations
@@ -24,22 +20,19 @@ import queue
 import re
 import shutil
 import signal
-import sys
 import tempfile
 import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
 
 import yaml
-from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, rule, run_state_machine_as_test
+from hypothesis.stateful import RuleBasedStateMachine, initialize, rule
 
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.steps import Read
@@ -54,10 +47,10 @@ from bench.run.folder import RESULTS, Run
 from bench.run.person import OpenPrompt
 from bench.run.record import Record
 from bench.services.execution import taken_up
-from benchmarks.answering_campaign import answer_to
-from benchmarks.campaign import EMPTY_FIGURE, ROOT, Said, amiss, arguments, command
+from benchmarks.campaign import ROOT, Said, command
 from sim.bench import SimulatedBench
 from sim.world.clock import ScaledClock
+from tests.support.answering import answer_to
 from tests.support.panel_client import Browser
 
 METERS: Final = ("voltmeter.x", "voltmeter.y", "voltmeter.z")
@@ -134,7 +127,6 @@ class Desk:
 
             stack.enter_context(mock.patch.object(Record, "append", followed))
             stack.enter_context(mock.patch.object(listening, "LISTEN_S", 0.002))
-            stack.enter_context(mock.patch("bench.results.plots._written", return_value=EMPTY_FIGURE))
             self.browser = Browser(self.runs, "anna", Role.OPERATOR)
             stack.enter_context(self.browser.client)  # one event loop, in which the panel follows runs
             yield self
@@ -327,9 +319,6 @@ class Typist(io.StringIO):
         return self._desk.typed()
 
 
-# --- the campaign ----------------------------------------------------------------------------------------
-
-
 AT_MOST: Final = 4
 """Largest number of runs in a folder; further steps use one of these runs."""
 
@@ -337,17 +326,6 @@ TROUBLES: Final = (
     "", "", "", "ctrl-c", "sigterm", "meter off", "kill", "kill", "stop", "pause", "abort", "results",
 )  # fmt: skip
 """Disturbances of a command at one of its events; "results" kills it while the results are made."""
-
-
-@dataclass
-class Told:
-    """The counts of a campaign, and the faults that it found."""
-
-    done: Counter[str] = field(default_factory=Counter)
-    wrong: list[str] = field(default_factory=list)
-
-
-TOLD: Final = Told()
 
 
 # --- the state machine ------------------------------------------------------------------------------
@@ -362,18 +340,16 @@ class Evenings(RuleBasedStateMachine):
 
     def __init__(self) -> None:
         super().__init__()
-        self._stack = ExitStack()
+        self._stack, self._begun = ExitStack(), 0
         folder = Path(self._stack.enter_context(tempfile.TemporaryDirectory()))
         self.desk = self._stack.enter_context(Desk(folder).open())
 
     def teardown(self) -> None:
         self._stack.close()
 
-    def _judge(self, what: str, *further: str) -> None:
-        """Count a step, and raise `AssertionError` with all faults after it."""
-        TOLD.done[what] += 1
+    def _judge(self, *further: str) -> None:
+        """Raise `AssertionError` with all faults after a step."""
         wrong = [*further, *self.desk.check()]
-        TOLD.wrong += wrong
         if wrong:
             raise AssertionError("\n".join(wrong))
 
@@ -392,25 +368,26 @@ class Evenings(RuleBasedStateMachine):
         if len(self.desk.names()) >= AT_MOST:  # the oldest run is moved away
             shutil.rmtree(self.desk.runs / (oldest := self.desk.names()[0]))
             del self.desk.kept[oldest]
-        name = f"n{TOLD.done.total():06d}"
+        self._begun += 1
+        name = f"n{self._begun:06d}"
         words = ("run", "short.yaml", "--bench", "bench.yaml", "--name", name)
         said = self.desk.command(*words, trouble=trouble, at=at)
-        self._judge(f"run, {trouble or 'no trouble'}", *_amiss(said))
+        self._judge(*_amiss(said))
 
     @rule(which=RUNS, trouble=TROUBLE, at=AT)
     def resume(self, which: int, trouble: str, at: int) -> None:
         said = self.desk.command("resume", self._name(which), trouble=trouble, at=at)
-        self._judge(f"resume, {trouble or 'no trouble'}", *_amiss(said))
+        self._judge(*_amiss(said))
 
     @rule(trouble=TROUBLE, at=AT)
     def resume_latest(self, trouble: str, at: int) -> None:
         said = self.desk.command("resume", trouble=trouble, at=at)
-        self._judge(f"resume the latest, {trouble or 'no trouble'}", *_amiss(said))
+        self._judge(*_amiss(said))
 
     @rule(which=RUNS, trouble=TROUBLE, at=AT)
     def press_resume(self, which: int, trouble: str, at: int) -> None:
         said = self.desk.press(self._name(which), "resume", trouble=trouble, at=at)
-        self._judge(f"resume at the panel, {trouble or 'no trouble'}", *_amiss(said))
+        self._judge(*_amiss(said))
 
     @rule(which=RUNS)
     def bring_to_its_end(self, which: int) -> None:
@@ -428,7 +405,7 @@ class Evenings(RuleBasedStateMachine):
             wrong.append(f"{name}: was {state}, and resume did not bring it to its end: {said.text[-300:]}")
         if (said.status == STOPPED) != before:
             wrong.append(f"{name}: was {state}, and resume ended with {said.status}: {said.text[-300:]}")
-        self._judge("resume to the end", *wrong)
+        self._judge(*wrong)
 
     @rule(which=RUNS, panel=st.booleans())
     def abort(self, *, which: int, panel: bool) -> None:
@@ -438,18 +415,18 @@ class Evenings(RuleBasedStateMachine):
         wrong = _amiss(said)
         if (said.status == 0) != (state not in ENDED):
             wrong.append(f"{name}: was {state}, and abort ended with {said.status}: {said.text[-300:]}")
-        self._judge("give up at the panel" if panel else "abort", *wrong)
+        self._judge(*wrong)
 
     @rule(which=RUNS, command=st.sampled_from(["calibrate", "report", "export", "seal"]))
     def evaluate(self, which: int, command: str) -> None:
         name = self._name(which)
         target = ["--csv", "readings.csv"] if command == "export" else []
-        self._judge(command, *_amiss(self.desk.command(command, name, *target)))
+        self._judge(*_amiss(self.desk.command(command, name, *target)))
 
     @rule(meter=st.sampled_from(METERS))
     def switch(self, meter: str) -> None:
         self.desk.switch(next(iter(self.desk.off), meter))
-        self._judge("switch a meter")
+        self._judge()
 
 
 def _amiss(said: Said) -> list[str]:
@@ -457,28 +434,3 @@ def _amiss(said: Said) -> list[str]:
     if "Traceback" in text or "mistake of the program" in text or "cannot be trusted" in text:
         return [f"not one of our messages: {text[-600:]}"]
     return []
-
-
-def main() -> None:
-    given = arguments(
-        __doc__, transitions=(3000, "at least so many"), steps=(30, "from one empty folder"), seed=1
-    )
-    begun_s, number = time.monotonic(), given.seed
-    once = settings(
-        max_examples=10, stateful_step_count=given.steps, deadline=None, database=None,
-        phases=[Phase.generate], suppress_health_check=list(HealthCheck),
-    )  # fmt: skip
-    while TOLD.done.total() < given.transitions and not TOLD.wrong:
-        with contextlib.suppress(AssertionError):
-            run_state_machine_as_test(seed(number)(Evenings), settings=once)
-        number += 1
-        print(f"{TOLD.done.total()} transitions, {time.monotonic() - begun_s:.0f} s", flush=True)
-    for what, times in TOLD.done.most_common():
-        print(f"{times:7d} {what}")
-    status = amiss(TOLD.wrong, "AMISS")
-    print(f"{TOLD.done.total()} transitions, seeds {given.seed} to {number - 1}, {len(TOLD.wrong)} amiss")
-    sys.exit(status)
-
-
-if __name__ == "__main__":
-    main()

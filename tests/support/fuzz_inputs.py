@@ -1,4 +1,4 @@
-"""Inputs of the fuzz campaign, each made from its kind and random numbers: files, commands, expected refusals.
+"""Unusual inputs, each made from its kind and random numbers: files, commands, expected refusals.
 
 Many inputs are valid ones with a single fault that the format forbids (`refuse` says which). The others are changed
 at random, in their numbers, their structure or their bytes, and may be accepted or refused.
@@ -426,7 +426,4 @@ MADE: Final[dict[str, Callable[[random.Random], Case]]] = {
     "result": json_case,
     "record": record_case, "names": name_case,
 }  # fmt: skip
-"""Functions that make the inputs of commands, by kind.
-
-The inputs `scpi` and `answers` are made when they are tried.
-"""
+"""Functions that make the inputs of commands, by kind."""

@@ -1,19 +1,20 @@
-"""Campaigns of signals, supplies and commands in miniature: each finds nothing amiss, and could."""
+"""Runs with signals, disturbed supplies, and commands in any order: nothing is amiss, and it would be seen."""
 
 import signal
 from pathlib import Path
 
+import hypothesis
 import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis.stateful import run_state_machine_as_test
 
 from bench.run.power import WATCH_S
-from benchmarks import signal_campaign
-from benchmarks import supply_campaign as campaign
 from benchmarks.campaign import command
-from benchmarks.commands_campaign import Evenings
-from benchmarks.signal_campaign import PATTERNS, PHASES, TROUBLES, Trial, draw, worker
 from sim.world.power import Disturbance
+from tests.support import signal_trials, supply_faults
+from tests.support.campaigns import seeds
+from tests.support.evenings import Evenings
+from tests.support.signal_trials import PATTERNS, PHASES, TROUBLES, Trial, draw, worker
 
 pytestmark = pytest.mark.slow
 with_sighup = pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="a system without SIGHUP")
@@ -29,15 +30,16 @@ TRIALS = [
 
 @pytest.mark.slow(11)
 @with_sighup
-def test_the_bench_is_left_safe_at_every_signal(monkeypatch):
-    monkeypatch.setattr(signal_campaign, "LIMIT_S", NEVER_S)
-    outcomes = worker(TRIALS)
+@pytest.mark.parametrize("seed", seeds(0))
+def test_the_bench_is_left_safe_at_every_signal(monkeypatch, seed):
+    monkeypatch.setattr(signal_trials, "LIMIT_S", NEVER_S)
+    outcomes = worker(draw(len(PHASES), seed) if seed else TRIALS)
     assert [(outcome.trial, outcome.violations) for outcome in outcomes if outcome.violations] == []
-    assert {outcome.state for outcome in outcomes} >= {"interrupted", "failed"}
+    assert seed or {outcome.state for outcome in outcomes} >= {"interrupted", "failed"}
 
 
 @with_sighup
-def test_a_campaign_draws_every_phase_pattern_and_trouble():
+def test_every_phase_pattern_and_trouble_is_drawn():
     trials = draw(200, 1)
     assert {trial.phase for trial in trials} == set(PHASES)
     assert {trial.pattern for trial in trials} == set(PATTERNS)
@@ -50,25 +52,23 @@ SEED = 20261122
 
 @pytest.fixture(scope="module")
 def stands(tmp_path_factory):
-    return campaign.stands(tmp_path_factory.mktemp("stands"), campaign.WAYS[1:])
+    return supply_faults.stands(tmp_path_factory.mktemp("stands"), supply_faults.WAYS[1:])
 
 
 @pytest.mark.slow(14)
-def test_a_short_campaign_has_no_violation(stands, tmp_path: Path) -> None:
-    trials = campaign.draw(len(campaign.KINDS), SEED, stands)
-    outcomes = [campaign.carry_out(trial, tmp_path) for trial in trials]
-    assert campaign.violations(outcomes) == []
-    assert {outcome.trial.kind for outcome in outcomes} == set(campaign.KINDS)
-    assert sum(outcome.resumed for outcome in outcomes) >= 3
-    last = campaign.table(outcomes).splitlines()[-1].split()
-    assert last[:2] == ["all", str(len(outcomes))]
-    assert last[5:8] == ["0", "0", "0"]
+@pytest.mark.parametrize("seed", seeds(SEED))
+def test_disturbances_of_each_kind_bring_no_violation(stands, tmp_path: Path, seed: int) -> None:
+    trials = supply_faults.draw(len(supply_faults.KINDS), seed, stands)
+    outcomes = [supply_faults.carry_out(trial, tmp_path) for trial in trials]
+    assert supply_faults.violations(outcomes) == []
+    assert {outcome.trial.kind for outcome in outcomes} == set(supply_faults.KINDS)
+    assert seed > SEED or sum(outcome.resumed for outcome in outcomes) >= 3
 
 
 def test_a_rail_that_drifts_while_the_block_is_mounted_stops_the_run_within_its_limits(stands, tmp_path):
     """Toward the other sign it passes no protection, and 20 min of mounting would take it to +2.9 V."""
     stand = stands[-1]
-    with campaign.watched(Disturbance("drift", 596.0, "3", 53.0)) as watch:
+    with supply_faults.watched(Disturbance("drift", 596.0, "3", 53.0)) as watch:
         status, _, said, _ = command(
             "run", stand.procedure, "--dry-run", "--bench", stand.bench, "--runs", tmp_path
         )
@@ -82,30 +82,32 @@ def test_the_judge_sees_a_value_that_is_wrong_and_a_cause_that_is_not_named(stan
     """Against other values each reading is wrong; and an error must name the supply with the rail."""
     stand = stands[0]
     never = Disturbance("off", stand.duration_s + 1e6, "2")
-    trial = campaign.FedTrial("judge", stand, "off", never)
-    outcome = campaign.carry_out(trial, tmp_path)
+    trial = supply_faults.FedTrial("judge", stand, "off", never)
+    outcome = supply_faults.carry_out(trial, tmp_path)
     assert (outcome.completed, outcome.violations) == (True, [])
     values = {place: (mean[0] + 1e-6, *mean[1:]) for place, mean in stand.values.items()}
-    other = campaign.replace(trial, stand=campaign.replace(stand, values=values))
-    judged = campaign.FedOutcome(other)
-    campaign.judge_finished(campaign.Run(tmp_path / "fed-trial-judge"), judged)
-    assert judged.wrong_values == campaign.READINGS
+    other = supply_faults.replace(trial, stand=supply_faults.replace(stand, values=values))
+    judged = supply_faults.FedOutcome(other)
+    supply_faults.judge_finished(supply_faults.Run(tmp_path / "fed-trial-judge"), judged)
+    assert judged.wrong_values == supply_faults.READINGS
     judged.said = "bench: power_supply: did something"
-    campaign.judge_stop(2, judged)
+    supply_faults.judge_stop(2, judged)
     assert "the cause is not named" in judged.violations[-1]
 
 
 pytest.importorskip("starlette")
 
 
-def test_no_record_is_lost_whatever_is_done():
-    """Drawn steps, the same each time."""
+@pytest.mark.parametrize("seed", seeds(0))
+def test_no_record_is_lost_whatever_is_done(seed):
+    """Drawn steps, the same each time; three times thirty of them with each further seed."""
     run_state_machine_as_test(
-        Evenings,
+        hypothesis.seed(seed)(Evenings) if seed else Evenings,
         settings=settings(
-            max_examples=1,
-            stateful_step_count=10,
-            derandomize=True,
+            max_examples=3 if seed else 1,
+            stateful_step_count=30 if seed else 10,
+            derandomize=not seed,
+            database=None,
             deadline=None,
             phases=[Phase.generate],
             suppress_health_check=list(HealthCheck),

@@ -1,6 +1,4 @@
-"""Test runs with a disturbed supply: no wrong value is recorded, and the block never leaves its limits.
-
-    nice -n 10 python -m benchmarks.supply_campaign --runs 360 --seed 1 --jobs 1
+"""Runs with a disturbed supply: no wrong value is recorded, and the block never leaves its limits.
 
 Every trial is a dry run of a short procedure by the command line, on a shipped bench file without errors, fed
 by a simulated supply. Once, at a random moment, a rail drops, trips, goes into current limit, drifts, loses
@@ -8,17 +6,14 @@ its contact or is switched off by hand, or the mains fail and return. Every reco
 undisturbed run and with the true state of the rails at that time. The block's absolute limits are checked in
 the simulated world, not by the driver. A stopped run must name the supply and the rail. When it is resumed
 undisturbed, it must end with all planned readings, which agree; those after the block was off must belong to
-a new series. A table by kind and every violation are printed; the exit status is 1 if there is one.
+a new series.
 """
 
 import contextlib
 import copy
 import math
 import random
-import sys
-import tempfile
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -28,11 +23,11 @@ from unittest import mock
 import bench.cli.measure
 import bench.run.assembly.served
 from bench.run.folder import Run
-from benchmarks.campaign import Tried, amiss, arguments, by_kind, command, spread, summed
-from benchmarks.fault_campaign import VALUE_V, exact_bench, run_arguments
+from benchmarks.campaign import command
 from sim.bench import SimulatedBench
 from sim.world.power import Disturbance, Power
 from tests.support.fed_bench import FEED, N15, P15
+from tests.support.wire_faults import VALUE_V, Tried, exact_bench, run_arguments
 
 TIMEOUT: Final = "2 s"
 READBACK_V: Final = 0.01
@@ -105,10 +100,7 @@ class FedTrial:
 
 @dataclass
 class FedOutcome(Tried):
-    """The outcome of a trial; `unseen` says that a rail left its window and returned between two checks."""
-
-    outside_limits: int = 0
-    unseen: bool = False
+    """The outcome of a trial."""
 
 
 # --- the benches ------------------------------------------------------------------------------------
@@ -230,7 +222,6 @@ def carry_out(trial: FedTrial, folder: Path) -> FedOutcome:
 def _judge_world(watch: Watch, outcome: FedOutcome) -> None:
     """Note a fault if the block was ever outside its limits in the simulated world, or is left on."""
     power, fed = watch.power, outcome.trial.stand.fed
-    outcome.outside_limits += len(power.violations)
     outcome.violations += [f"outside of the block's limits: {violation}" for violation in power.violations]
     on = [output for output in fed.outputs if power.stage(output, watch.now_s).on]
     if on:
@@ -258,11 +249,6 @@ def _judge_readings(run: Run, watch: Watch, outcome: FedOutcome) -> None:
         if wrong:
             outcome.wrong_values += 1
             outcome.violations.append(f"wrong value: {wrong}")
-    if outcome.completed:
-        end_s = run.history.events.last_s
-        first_s = next(e.bench_s for e in run.history.events if e.type == "warmed_up")
-        lost = [at_s for at_s, alive in watch.power.switchings if not alive and first_s < at_s < end_s - 5.0]
-        outcome.unseen = bool(lost)
 
 
 def _differs(stand: FedStand, place: Place, mean: Sequence[float]) -> str:
@@ -309,7 +295,7 @@ def _judge_visits(run: Run, before: set[int], outcome: FedOutcome) -> None:
             outcome.violations.append(f"one visit to installation {installation} before and after it was off")
 
 
-# --- the campaign ----------------------------------------------------------------------------------------
+# --- drawn trials ----------------------------------------------------------------------------------------
 
 
 SHORTEST_S: Final = 5.0
@@ -364,21 +350,6 @@ def draw(count: int, seed: int, benches: Sequence[FedStand]) -> list[FedTrial]:
     return trials
 
 
-def table(outcomes: Sequence[FedOutcome]) -> str:
-    """Return the table by kind."""
-
-    def other(row: FedOutcome) -> int:
-        return len(row.violations) - row.wrong_values - row.outside_limits
-
-    counts: dict[str, Callable[[Sequence[FedOutcome]], object]] = {
-        "runs": len, "completed": summed("completed"),
-        "stopped": lambda rows: len(rows) - summed("completed")(rows), "resumed": summed("resumed"),
-        "wrong": summed("wrong_values"), "outside": summed("outside_limits"),
-        "other": lambda rows: sum(map(other, rows)), "unseen": summed("unseen"),
-    }  # fmt: skip
-    return by_kind(outcomes, KINDS, lambda row: row.trial.kind, counts)
-
-
 def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
     """Return every violation, with the disturbance that led to it."""
     return [
@@ -386,21 +357,3 @@ def violations(outcomes: Sequence[FedOutcome]) -> list[str]:
         for outcome in outcomes
         for text in outcome.violations
     ]
-
-
-def main() -> int:
-    given = arguments(__doc__, runs=350, seed=1, workers=(1, "processes"))
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        trials = draw(given.runs, given.seed, stands(folder))
-        begun_s = time.monotonic()
-        outcomes = list(spread(partial(carry_out, folder=folder), trials, given.workers))
-        took_s = time.monotonic() - begun_s
-    print(table(outcomes))
-    print(f"{len(outcomes)} runs in {took_s:.0f} s, seed {given.seed}")
-    print("unseen: completed, while a rail was gone and back between two looks, with no reading in between")
-    return amiss(violations(outcomes))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,7 +1,4 @@
-"""Faults in whole dry runs: a short seeded campaign (seed 20261121), and what longer ones once found.
-
-The campaign itself is `benchmarks/fault_campaign.py`; it judges values, record, messages and resuming.
-"""
+"""Faults in whole dry runs: drawn ones (seed 20261121), and what campaigns of other seeds once found."""
 
 from __future__ import annotations
 
@@ -11,13 +8,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from benchmarks import fault_campaign as campaign
 from sim.wires.faults import Fault, FaultKind
+from tests.support import wire_faults
+from tests.support.campaigns import seeds
 
 pytestmark = pytest.mark.slow
 
 if TYPE_CHECKING:
-    from benchmarks.fault_campaign import Outcome, Stand
+    from tests.support.wire_faults import Outcome, Stand
 
 SEED = 20261121
 FAULTS = 24
@@ -36,31 +34,28 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def benches(runs: Path) -> dict[str, Stand]:
-    return {stand.name: stand for stand in campaign.stands(runs, BENCHES[:3], PATIENT)}
+    return {stand.name: stand for stand in wire_faults.stands(runs, BENCHES[:3], PATIENT)}
 
 
 def tried(stand: Stand, runs: Path, name: str, *faults: Fault) -> Outcome:
     """Carry out one trial of a name of its own; there is no violation in it."""
-    trial = campaign.Trial(name, stand, str(faults[0].kind), faults)
-    outcome = campaign.carry_out(trial, runs, NEVER_S)
+    trial = wire_faults.Trial(name, stand, str(faults[0].kind), faults)
+    outcome = wire_faults.carry_out(trial, runs, NEVER_S)
     assert outcome.violations == []
     assert outcome.struck == len(faults)
     return outcome
 
 
 @pytest.mark.slow(6)
-def test_a_short_campaign_has_no_violation(tmp_path_factory: pytest.TempPathFactory) -> None:
-    runs = tmp_path_factory.mktemp("short")
-    trials = campaign.draw(FAULTS, SEED, campaign.stands(runs, BENCHES, SHORT))
-    outcomes = [campaign.carry_out(trial, runs, NEVER_S) for trial in trials]
-    assert campaign.violations(outcomes) == []
-    assert {outcome.trial.kind for outcome in outcomes} == set(campaign.KINDS)
+@pytest.mark.parametrize("seed", seeds(SEED))
+def test_faults_of_each_kind_bring_no_violation(tmp_path: Path, seed: int) -> None:
+    trials = wire_faults.draw(FAULTS, seed, wire_faults.stands(tmp_path, BENCHES, SHORT))
+    outcomes = [wire_faults.carry_out(trial, tmp_path, NEVER_S) for trial in trials]
+    assert wire_faults.violations(outcomes) == []
+    assert {outcome.trial.kind for outcome in outcomes} == set(wire_faults.KINDS)
     assert sum(outcome.struck for outcome in outcomes) >= 0.6 * FAULTS
     assert any(outcome.completed for outcome in outcomes)
     assert any(outcome.resumed for outcome in outcomes)
-    last = campaign.table(outcomes).splitlines()[-1].split()
-    assert last[0] == "all"
-    assert last[7:10] == ["0", "0", "0"]  # wrong values, hangs, other violations
 
 
 def exchange(log: Path, instrument: str, command: str, nth: int = 1) -> int:
@@ -78,8 +73,8 @@ def exchange(log: Path, instrument: str, command: str, nth: int = 1) -> int:
 def log(benches: dict[str, Stand], runs: Path) -> Path:
     """The wire log of an undisturbed run on the paper's stand."""
     file = runs / "undisturbed.log"
-    arguments = campaign.run_arguments(benches["paper-stand"], runs, "logged")
-    assert campaign.command(*arguments, "--wire-log", file).status == 0
+    arguments = wire_faults.run_arguments(benches["paper-stand"], runs, "logged")
+    assert wire_faults.command(*arguments, "--wire-log", file).status == 0
     return file
 
 
@@ -124,12 +119,12 @@ def test_the_judge_sees_a_wrong_value_and_a_missing_name(benches: dict[str, Stan
     assert "0.071469 V" in text
     other.write_text(text.replace("0.071469 V", "0.071470 V"), encoding="utf-8")
     fault = Fault(FaultKind.ERROR, at=2, instrument="voltmeter.x")
-    trial = campaign.Trial("judge", stand, "error", (fault,))
-    outcome = campaign.carry_out(trial, runs, NEVER_S)
+    trial = wire_faults.Trial("judge", stand, "error", (fault,))
+    outcome = wire_faults.carry_out(trial, runs, NEVER_S)
     assert outcome.violations == []
-    judged = campaign.Outcome(replace(trial, stand=replace(stand, bench=other)))
-    campaign.judge_record(campaign.Run(runs / "trial-judge"), judged)
-    assert judged.wrong_values == campaign.READINGS
+    judged = wire_faults.Outcome(replace(trial, stand=replace(stand, bench=other)))
+    wire_faults.judge_record(wire_faults.Run(runs / "trial-judge"), judged)
+    assert judged.wrong_values == wire_faults.READINGS
     judged.said = "bench: voltmeter.y: did something"
-    campaign.judge_stop(2, judged)
+    wire_faults.judge_stop(2, judged)
     assert "the instrument is not named" in judged.violations[-1]

@@ -1,27 +1,19 @@
-"""Test runs with a thousand faults on the wire: no hang, no traceback, no wrong value.
-
-    python -m benchmarks.fault_campaign --faults 1200 --seed 1 --jobs 2
+"""Runs with faults on the wire: no hang, no traceback, no wrong value.
 
 Every trial is a dry run of a short procedure by the command line. Its bench file is a shipped one, without
 errors of stand, voltmeters and operator, and with short timeouts (0.2 s). One fault of a random kind affects
 one instrument at a random exchange; in a storm there are five. The campaign checks the duration of the run,
 the text on standard error, the record's chain of hashes, and every recorded sample against the forward model
 at the recorded angle. A stopped run must name the instrument, and end with all planned readings when it is
-resumed without faults. A table by kind of fault and every violation are printed; the exit status is 1 if
-there is one.
+resumed without faults.
 """
 
 import contextlib
-import faulthandler
 import functools
 import math
 import random
-import sys
-import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any, Final
 from unittest import mock
@@ -33,7 +25,7 @@ import bench.run.assembly.served
 from bench.config.bench_file.file import BenchFile, load_bench
 from bench.model import Conditions, ForwardModel, stand_errors
 from bench.run.folder import Run
-from benchmarks.campaign import ROOT, Tried, amiss, arguments, by_kind, command, spread, summed
+from benchmarks.campaign import ROOT, command
 from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
@@ -81,6 +73,26 @@ class Trial:
     stand: Stand
     kind: str
     faults: tuple[Fault, ...]
+
+
+@dataclass
+class Tried:
+    """The outcome of a run with a disturbance: whether it ended, whether it was resumed, and its faults."""
+
+    trial: Any
+    completed: bool = False
+    resumed: bool = False
+    time_s: float = 0.0
+    wrong_values: int = 0
+    said: str = ""
+    violations: list[str] = field(default_factory=list)
+
+    def judge_stop(self, status: Any) -> None:
+        """Note a fault unless a stopped run states its reason in lines of its own, without a traceback."""
+        if status != 2:
+            self.violations.append(f"exit status {status}: {self.said.strip()}")
+        if "Traceback" in self.said or "unexpected" in self.said:
+            self.violations.append(f"not one of our errors: {self.said.strip()}")
 
 
 @dataclass
@@ -336,10 +348,9 @@ def judge_finished(run: Run, outcome: Outcome) -> None:
         outcome.violations.append(f"not the readings planned: {targets}")
 
 
-# --- the campaign ----------------------------------------------------------------------------------------
+# --- drawn trials ----------------------------------------------------------------------------------------
 
 
-STUCK_S: Final = 90.0
 STORM: Final = "storm"
 STORM_FAULTS: Final = 5
 KINDS: Final = (*FaultKind, STORM)
@@ -382,31 +393,6 @@ def draw_fault(generator: random.Random, stand: Stand, kind: FaultKind) -> Fault
     )  # fmt: skip
 
 
-def guarded(trial: Trial, folder: Path, limit_s: float) -> Outcome:
-    """Carry out a trial; one that hangs ends the campaign, and its threads are shown."""
-    faulthandler.dump_traceback_later(STUCK_S, exit=True, file=2)
-    outcome = carry_out(trial, folder, limit_s)
-    faulthandler.cancel_dump_traceback_later()
-    return outcome
-
-
-def table(outcomes: Sequence[Outcome]) -> str:
-    """Return the table by kind of fault."""
-
-    def hangs(row: Outcome) -> bool:
-        return any(text.startswith("hang") for text in row.violations)
-
-    counts: dict[str, Callable[[Sequence[Outcome]], object]] = {
-        "runs": len, "faults": lambda rows: sum(len(row.trial.faults) for row in rows),
-        "struck": summed("struck"), "completed": summed("completed"),
-        "stopped": lambda rows: len(rows) - summed("completed")(rows), "resumed": summed("resumed"),
-        "wrong": summed("wrong_values"), "hangs": lambda rows: sum(map(hangs, rows)),
-        "other": lambda rows: sum(len(row.violations) - row.wrong_values - hangs(row) for row in rows),
-        "worst, s": lambda rows: f"{max(row.time_s for row in rows):.2f}",
-    }  # fmt: skip
-    return by_kind(outcomes, map(str, KINDS), lambda row: str(row.trial.kind), counts)
-
-
 def violations(outcomes: Sequence[Outcome]) -> list[str]:
     """Return every violation, with the faults that led to it."""
     told = []
@@ -414,29 +400,3 @@ def violations(outcomes: Sequence[Outcome]) -> list[str]:
         faults = "; ".join(str(fault.told()) for fault in outcome.trial.faults)
         told += [f"{outcome.trial.stand.name} {faults}: {text}" for text in outcome.violations]
     return told
-
-
-def main() -> int:
-    given = arguments(
-        __doc__, faults=(1200, "at least so many"), seed=1, workers=(2, "processes"),
-        limit=(LIMIT_S, "how long a run may take, s"),
-        bench={"nargs": "*", "help": "shipped bench files by name (default: all)"},
-    )  # fmt: skip
-    names = given.bench or sorted(file.stem for file in (ROOT / "config").glob("*.yaml"))
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        benches = stands(folder, names)
-        trials = draw(given.faults, given.seed, benches)
-        begun_s = time.monotonic()
-        work = partial(guarded, folder=folder, limit_s=given.limit)
-        outcomes = list(spread(work, trials, given.workers))
-        took_s = time.monotonic() - begun_s
-    for stand in benches:
-        print(f"{stand.name}: exchanges in a run: {dict(stand.exchanges)}")
-    print(table(outcomes))
-    print(f"{len(outcomes)} runs in {took_s:.0f} s, seed {given.seed}")
-    return amiss(violations(outcomes))
-
-
-if __name__ == "__main__":
-    sys.exit(main())
