@@ -97,7 +97,7 @@ def diagnose(
     coefficients, `MistakesLeaveTooLittle` if only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    digit = digit_of(readings)
+    digit = digit_of(mistakes.corrected if mistakes.scales_the_run else readings)
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)

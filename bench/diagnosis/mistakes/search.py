@@ -63,6 +63,17 @@ class MistakeSearch:
     mistakes: tuple[Mistake, ...]
     corrected: Readings
 
+    @property
+    def scales_the_run(self) -> bool:
+        """Whether all signals of the run are in another unit than the file states."""
+        return any(
+            one.name == MistakeName.WRONG_UNIT
+            and not one.installations
+            and one.pass_number is None
+            and len(one.channels) == len(CHANNELS)
+            for one in self.mistakes
+        )
+
 
 class MistakesLeaveTooLittle(CalibrationError):
     """The readings are insufficient once the mistakes are corrected.
