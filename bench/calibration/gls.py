@@ -421,12 +421,9 @@ def sizes_told(problem: Problem, fit: Fit) -> int:
     takes away only what the readings tell of it, such as nothing of the head's marks where no reading is.
     """
     variances = np.diag(fit.covariance)[FIXED + len(problem.stand) :]
-    told = [
-        1.0 - min(variance / effect.prior_u**2, 1.0)
-        for variance, effect in zip(variances.tolist(), problem.effects, strict=True)
-        if not effect.stated
-    ]
-    return round(sum(told))
+    weak = np.array([not effect.stated for effect in problem.effects], dtype=np.bool_)
+    prior_u = np.array([effect.prior_u for effect in problem.effects])
+    return round(float(np.sum(1.0 - np.minimum(variances[weak] / prior_u[weak] ** 2, 1.0))))
 
 
 def misfit_test(
