@@ -406,14 +406,24 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
     If the noise was given, the test is a chi-square test against this noise. A `rounding` error that repeats share
     counts as noise.
     """
-    # a stated prior adds as much to the misfit as its unknown takes away; a weak prior adds nothing
-    unknowns = len(problem.active) + len(result.shifts) + sum(not e.stated for e in problem.effects)
-    unknowns -= len(result.modulus)
+    unknowns = len(problem.active) + len(result.shifts) + sizes_told(problem, result) - len(result.modulus)
     groups = _groups_without(problem, result.shifts)
     misfit = result.misfit
     if rounding is not None:
         misfit -= rounding.relief(result.residuals, result.slope, result.noise)
     return misfit_test(misfit, result.residuals, result.slope, result.noise, groups, unknowns)
+
+
+def sizes_told(problem: Problem, fit: Fit) -> int:
+    """Return how many parameters of effects without a stated u the readings determine.
+
+    A stated prior adds as much to the misfit as its unknown takes away. A weak prior adds nothing, and its unknown
+    takes away only what the readings tell of it, such as nothing of the head's marks where no reading is.
+    """
+    variances = np.diag(fit.covariance)[FIXED + len(problem.stand) :]
+    weak = np.array([not effect.stated for effect in problem.effects], dtype=np.bool_)
+    prior_u = np.array([effect.prior_u for effect in problem.effects])
+    return round(float(np.sum(1.0 - np.minimum(variances[weak] / prior_u[weak] ** 2, 1.0))))
 
 
 def misfit_test(

@@ -44,6 +44,7 @@ from bench.diagnosis.posterior import (
     left_open,
     noise_size,
     posterior,
+    sizes_alone,
     starting_states,
     with_other_shapes,
 )
@@ -96,7 +97,7 @@ def diagnose(
     coefficients, `MistakesLeaveTooLittle` if only the corrected copy does not.
     """
     mistakes = find_mistakes_in_each(readings, model, stand_u, nominal_scale_factors)
-    digit = digit_of(readings)
+    digit = digit_of(mistakes.corrected if mistakes.scales_the_run else readings)
     try:
         mistakes = replace(mistakes, corrected=with_blocks(mistakes.corrected, model))
         absent = there.absent(mistakes.corrected)
@@ -225,13 +226,14 @@ def _estimated(prepared: Prepared, naming: Naming) -> _Estimated:
     noise = noise_size(whitened, data, naming.columns)
     sized = fit_found(linear, candidates, naming, noise)
     others = beside(candidates, naming, sized, channels_of(whitened, data, naming))
-    in_part = tuple(applied for of_find in others for applied in of_find)
-    fitted = fit_found(with_other_shapes(linear, in_part), candidates, naming, noise)
+    parts = tuple(applied for of_find in others for applied in of_find)
+    fitted = fit_found(with_other_shapes(linear, parts), candidates, naming, noise)
     effects = effects_of(candidates, naming, sized, prepared.limit, linear)
     kept = left_open(linear, candidates, naming, others, fitted, noise)
     starts = starting_states(linear, candidates, naming, sized, kept)
     gap = measure_gap(linear, whitened, naming, noise, prepared.limit, prepared.setting_rad)
-    return _Estimated(naming, effects, noise, sized, fitted, (*in_part, *starts), (*kept, *starts), gap)
+    in_part = (*starts, *sizes_alone(linear, parts, 1 + len(kept) + len(starts)))
+    return _Estimated(naming, effects, noise, sized, fitted, in_part, (*kept, *starts), gap)
 
 
 def _form(prepared: Prepared, estimated: _Estimated) -> FreeForm | None:

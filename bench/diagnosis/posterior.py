@@ -456,6 +456,17 @@ def pieces(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> Iterator[
                     yield OpenSize(applied, name, channel, column * size)
 
 
+def sizes_alone(
+    linear: LinearSystem, others: tuple[AppliedEffect, ...], first: int
+) -> Iterator[AppliedEffect]:
+    """Yield each amplitude of `others` that has a prior u as a part (`InPart`), numbered from `first`.
+
+    A fit would estimate the other parameters of these effects too, although the effects found lack them.
+    """
+    for number, piece in enumerate(pieces(linear, others), first):
+        yield in_part(piece.applied.effect.name, number, tuple(_applied([piece], np.ones(1))), 0.0, 1.0)
+
+
 def left_open(
     linear: LinearSystem,
     candidates: Candidates,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats
+from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
@@ -177,9 +177,11 @@ def _simulate(
     by_ties: Floats | None,
 ) -> Simulation:
     problem, fit = _fitted(readings, model, stand_u, join_verification=False)
-    joined = len(readings.verification()) > 0 and _hardly_told(problem, fit)
-    if joined:
-        problem, fit = _fitted(readings, model, stand_u, join_verification=True)
+    joined, untold = False, _hardly_told(problem, fit)
+    if untold.any() and len(readings.verification()):
+        with_points = _fitted(readings, model, stand_u, join_verification=True)
+        joined = bool(np.any(untold & ~_hardly_told(*with_points)))
+        problem, fit = with_points if joined else (problem, fit)
     rows = usable_rows(readings, model)
     effects = tuple(
         replace(applied, u=_u_of(index, problem, fit))
@@ -234,13 +236,14 @@ def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
     return FreeRows(readings.signal[chosen], conditions)
 
 
-def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
-    """Whether the fit hardly reduces the prior u of some parameter without a stated value."""
+def _hardly_told(problem: Problem, fit: gls.Fit) -> Mask:
+    """Return the mask of the parameters without a stated value whose prior u the fit hardly reduces."""
     u = np.sqrt(np.diag(fit.covariance))[FIXED + len(problem.stand) :]
-    return any(
-        own > MOSTLY * unknown.prior_u and not unknown.stated
+    told = [
+        unknown.stated or own <= MOSTLY * unknown.prior_u
         for own, unknown in zip(u, problem.effects, strict=True)
-    )
+    ]
+    return ~np.array(told, dtype=np.bool_)
 
 
 def _u_of(index: int, problem: Problem, fit: gls.Fit) -> dict[str, Floats]:
@@ -267,7 +270,7 @@ def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
     slope = problem.slope(fit.block, fit.others)
     pulls = (fit.others - problem.prior_mean) / problem.prior_u
     misfit = float(np.sum(whiten(left[:, :, None], slope, fit.noise) ** 2) + np.sum(pulls**2))
-    unknowns = FIXED + sum(not e.stated for e in problem.effects)
+    unknowns = FIXED + gls.sizes_told(problem, fit)
     return gls.misfit_test(misfit, left, slope, fit.noise, repeat_groups(problem.conditions), unknowns)
 
 

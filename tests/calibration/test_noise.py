@@ -128,6 +128,15 @@ def test_the_nonlinearity_in_the_model_is_recovered(noise_v):
     assert result.model == "quadratic_nonlinearity"
 
 
+def test_marks_of_the_head_where_no_reading_is_take_no_degrees_of_freedom():
+    """Of the eight marks read, seven errors show: a common one is in the zero offset."""
+    readings = simulate(np.random.default_rng(12), 5e-5)
+    plain = calibrate(readings, MODEL, STAND_U, 9.81, find_shared=False).lack_of_fit
+    marks = calibrate(readings, with_effect("head_graduation"), STAND_U, 9.81, find_shared=False).lack_of_fit
+    assert marks.dof == plain.dof - 7
+    assert marks.p > 0.01
+
+
 @pytest.mark.slow
 def test_uncertainty_of_a_recovered_effect_is_honest():
     """Root mean square of (estimate - truth)/u of three K2 over 60 runs, seed [41, k]: chi-square of 180."""

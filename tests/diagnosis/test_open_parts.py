@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.calibration.design import make_problem
 from bench.config.model_file import load_model, write_model_file
 from bench.diagnosis.confirm import confirm
 from bench.diagnosis.linear import make_linear
@@ -16,6 +17,7 @@ from bench.diagnosis.posterior import (
     fit_found,
     left_open,
     posterior,
+    sizes_alone,
     with_other_shapes,
 )
 from bench.diagnosis.search import SearchTask, find_effects
@@ -129,3 +131,24 @@ def test_odds_of_a_shape_between_two_are_those_of_the_whole_model():
     assert [one.variant.family for one in naming.found] == ["thermal_bias"]
     assert naming.found[0].odds[0].probability > 0.95
     assert naming.left < prepared.limit.value
+
+
+def test_a_fit_with_the_parts_has_no_parameters_that_the_effect_found_lacks():
+    ready = set_up(paper_run(np.random.default_rng(92)))
+    offset = next(
+        v
+        for v in ready.candidates.variants
+        if v.family == "mounting_creep"
+        and v.mounts == ("1", "2")
+        and {ready.candidates.kinds[c].parameter for c in v.sizes} == {"mounting_offset"}
+    )
+    naming = Naming((FoundEffect(offset, 100.0, 100.0, 30.0),), -1.0)
+    (others,) = beside(ready.candidates, naming, fit_found(ready.linear, ready.candidates, naming, NOISE))
+    alone = tuple(sizes_alone(ready.linear, others, 3))
+    problem = make_problem(replace(MODEL, effects=alone), ready.linear.conditions, STAND_U)
+    assert [(one.prior_mean, one.prior_u) for one in problem.effects] == [(0.0, 1.0)] * len(others)
+    own = (replace(one, values=one.values | one.u, u={}) for one in others)
+    for part, whole in zip(alone, own, strict=True):
+        wanted = ready.linear.view.own(MODEL, (whole,), ready.linear.block)
+        of_part = replace(part, values=part.u)
+        np.testing.assert_allclose(ready.linear.view.own(MODEL, (of_part,), ready.linear.block), wanted)

@@ -114,6 +114,13 @@ def test_an_effect_that_only_verification_points_show_lets_them_take_part():
     assert without.after.points == ()
 
 
+def test_verification_points_that_tell_no_more_of_an_effect_remain_a_check():
+    readings = paper_run(np.random.default_rng(6))
+    marks = AppliedEffect(CATALOGUE["head_graduation"], {})
+    # no reading tells of the marks between its angles, and a modulus depends on no angle of the head
+    assert not show(readings, MODEL, (marks,), STAND, G).after.joined
+
+
 @pytest.mark.slow
 def test_a_rival_changes_the_coefficients_as_a_calibration_with_it_does():
     readings = paper_run(np.random.default_rng(7), K2=(0.0, 6e-5, 0.0), verification=False)

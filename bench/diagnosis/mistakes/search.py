@@ -63,6 +63,17 @@ class MistakeSearch:
     mistakes: tuple[Mistake, ...]
     corrected: Readings
 
+    @property
+    def scales_the_run(self) -> bool:
+        """Whether all signals of the run are in another unit than the file states."""
+        return any(
+            one.name == MistakeName.WRONG_UNIT
+            and not one.installations
+            and one.pass_number is None
+            and len(one.channels) == len(CHANNELS)
+            for one in self.mistakes
+        )
+
 
 class MistakesLeaveTooLittle(CalibrationError):
     """The readings are insufficient once the mistakes are corrected.
@@ -198,11 +209,17 @@ class _Search:
 def _gross_mistake(gross: GrossMistake) -> Mistake:
     supposition = gross.supposition
     names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
-    elsewhere = [other for other in gross.equal if other.name == supposition.name]
+    here = supposition.channels, str(supposition.scope)
+    same = [other for other in gross.equal if other.name == supposition.name]
+    elsewhere = [
+        f"of {', '.join(other.channels)} {other.scope}" if other.channels != here[0] else str(other.scope)
+        for other in same
+        if (other.channels, str(other.scope)) != here
+    ]
     also = [
         f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
     ]
-    also += [f"the same {other.scope}" for other in elsewhere]
+    also += [f"the same {where}" for where in elsewhere]
     alike = f"; these readings cannot separate it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,

@@ -378,3 +378,15 @@ def test_a_head_that_was_not_turned_and_points_exchanged_are_wrong_settings(late
     assert places == {(good.pass_number[r], good.point[r]) for r in rows}
     if not late:
         assert found.corrected.angle_rad[row] == pytest.approx(angle[row - 1], abs=1e-12)
+
+
+def test_a_mistake_is_not_said_to_look_like_itself():
+    """All channels reversed: each looks like the others; a pass of the other installation, like its exchange."""
+    good = run(7)
+    reversed_all = find(replace(good, signal=-good.signal)).mistakes[0]
+    assert reversed_all.words.endswith("the same of y in the whole run, the same of z in the whole run")
+    moved = (good.installation == "2") & (good.pass_number == 1)
+    labels, numbers = np.where(moved, "1", good.installation), np.where(moved, 4, good.pass_number)
+    (placed,) = find(replace(good, installation=labels, pass_number=numbers)).mistakes
+    assert placed.name == "swapped_installations"
+    assert "cannot separate" not in placed.words

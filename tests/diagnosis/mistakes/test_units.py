@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from bench.diagnosis import diagnose
 from bench.validation.paper_bench import K
+from tests.support.diagnosis_bench import MODEL, STAND, OneThreshold
 from tests.support.mistaken_runs import EFFECTS, NOISE_V, find, outlier_v, place, run, with_outlier
 
 UNEQUAL = 5.0
@@ -69,3 +71,16 @@ def test_a_perfect_block_with_an_effect_is_in_its_unit(effect):
     good = run(95, **EFFECTS[effect])
     force = (good.signal - good.signal.mean(axis=0)) @ np.linalg.inv(K).T
     assert find(replace(good, signal=force * np.diag(K))).mistakes == ()
+
+
+@pytest.mark.slow
+def test_the_last_digit_of_a_run_in_millivolts_is_that_of_the_copy():
+    good = run(96)
+    good = replace(good, signal=np.round(good.signal, 7))
+    whole = scaled(good, np.ones(len(good), dtype=bool), [0, 1, 2], 1e3)
+    found = diagnose(
+        replace(whole, signal=np.round(whole.signal, 4)), MODEL, STAND, np.diag(K), OneThreshold()
+    )
+    (mistake,) = found.mistakes.mistakes
+    assert (mistake.name, mistake.channels) == ("wrong_unit", ("x", "y", "z"))
+    assert not found.noise_kinds
