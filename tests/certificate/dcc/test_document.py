@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lxml import etree
+from scipy import stats
 
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.intrinsic import joint_factor
@@ -92,6 +93,16 @@ def test_the_ellipsoid_of_twelve_holds_what_it_says():
     k = joint_factor(12, level=0.9545).k
     held = np.mean(np.sum(draws**2, axis=1) <= k * k)
     assert held == pytest.approx(0.9545, abs=4 * np.sqrt(0.9545 * 0.0455 / 200_000))
+
+
+@pytest.mark.parametrize("ref", ["coefficients", "coefficients_si", "inverse", "misalignments", "intrinsic"])
+def test_the_factor_of_an_ellipsoid_allows_for_few_degrees_of_freedom(root, issued_certificate, ref):
+    coverage, nu = issued_certificate.coverage, floats(of_result(root, ref, "dcc:metaData//si:valueXMLList"))
+    count = len(of_result(root, ref, "si:labelXMLList").split())
+    k = np.sqrt(count * stats.f.ppf(coverage, count, min(nu)))
+    stated = float(of_result(root, ref, "si:ellipsoidalRegionMUXMLList/si:coverageFactorXMLList"))
+    assert stated == pytest.approx(k, rel=1e-9)
+    assert stated > joint_factor(count, level=coverage).k
 
 
 def test_each_verification_point_has_its_statement(root, issued_certificate):
