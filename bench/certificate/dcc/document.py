@@ -335,7 +335,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
             node("dcc:referralID", held.number),
             node("dcc:procedure", "none"),
             node("dcc:value", "none"),
-            node("dcc:inValidityRange", "false" if one.expired else "true"),
+            node("dcc:inValidityRange", "false" if one.expired or one.later else "true"),
             node("dcc:traceable", "false" if one.foreign else "true"),
         )
     told = [("manufacturer", one.serial)] if one.serial else []

@@ -199,18 +199,24 @@ def test_a_simulated_run_says_so_and_is_not_called_traceable(root):
     assert root.findtext(path, namespaces=NAMESPACES) == "false"
 
 
-@pytest.mark.parametrize(("expired", "traceable"), [(False, "true"), (True, "false")])
-def test_a_real_run_on_an_expired_certificate_is_not_called_traceable(issued_certificate, expired, traceable):
+@pytest.mark.parametrize(
+    ("wrong", "traceable"), [({}, "true"), ({"expired": True}, "false"), ({"later": True}, "false")]
+)
+def test_a_real_run_on_an_expired_or_a_later_certificate_is_not_called_traceable(
+    issued_certificate, wrong, traceable
+):
     held = Held(number="7", laboratory="Acme", date="2025-01-01", valid_until="2026-01-01")
     found = issued_certificate.found
     instruments = [replace(one, certificate=held) for one in found.instruments]
-    instruments[0] = replace(instruments[0], expired=expired)
+    instruments[0] = replace(instruments[0], **wrong)
     real = replace(issued_certificate, found=replace(found, simulated=False, instruments=tuple(instruments)))
     root = etree.fromstring(document_of(real))
     path = ".//dcc:statement[@refType='bench_traceability']/dcc:traceable"
     assert root.findtext(path, namespaces=NAMESPACES) == traceable
     lacking = [text for text in missing(real) if "traceability" in text]
-    assert [instruments[0].name in text for text in lacking] == [True] * expired
+    assert [instruments[0].name in text for text in lacking] == [True] * len(wrong)
+    in_range = root.findtext(".//dcc:certificate/dcc:inValidityRange", namespaces=NAMESPACES)
+    assert in_range == traceable
 
 
 def test_an_instrument_without_a_certificate_has_none(root, issued_certificate):
