@@ -85,8 +85,8 @@ class Condition:
 class Instrument:
     """An instrument used in the run, with its certificate on the day of the run.
 
-    `identity` is the instrument's answer to the identification query. `foreign` says whether the certificate
-    belongs to another instrument.
+    `identity` is the instrument's answer to the identification query. `expired` says whether the certificate
+    had expired, `later` whether it is dated after the run, `foreign` whether it belongs to another instrument.
     """
 
     name: str
@@ -96,6 +96,12 @@ class Instrument:
     certificate: Held | None = None
     expired: bool = False
     foreign: bool = False
+    later: bool = False
+
+    @property
+    def certified(self) -> bool:
+        """Whether the instrument had a valid certificate of its own on the day of the run."""
+        return self.certificate is not None and not (self.expired or self.foreign or self.later)
 
 
 @dataclass(frozen=True)
@@ -350,9 +356,7 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
 def uncertified(found: RunFindings) -> tuple[str, ...]:
     """Return the names of voltmeters and heads without a valid certificate on the day of the run."""
     return tuple(
-        one.name
-        for one in found.instruments
-        if one.role in {"voltmeter", "head"} and (one.certificate is None or one.expired or one.foreign)
+        one.name for one in found.instruments if one.role in {"voltmeter", "head"} and not one.certified
     )
 
 

@@ -288,7 +288,8 @@ def _instruments(source: Source) -> Iterator[Instrument]:
         else:
             own = standing.certificate
             serial = serial or own.serial or ""
-            yield Instrument(name, section.role, identity, serial, own, standing.expired, standing.foreign)
+            doubts = (standing.expired, standing.foreign, standing.later)
+            yield Instrument(name, section.role, identity, serial, own, *doubts)
 
 
 def _contributions(result: CalibrationResult) -> Iterator[Contribution]:

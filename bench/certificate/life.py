@@ -168,7 +168,8 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     """Issue a certificate for the run `name` that supersedes the certificate `number`.
 
     The old certificate becomes "replaced" (`replaced`) or "amended". The new certificate states the number of
-    the old one and the `reason`. Raises `Refused` if the old certificate is not valid or is for another unit.
+    the old one and the `reason`. Raises `Refused` if the old certificate is not valid, is for another unit or,
+    unless `replaced`, is for another run.
     """
     person, certificate = desk.person(), _wanted(name, desk)
     with opened(desk.laboratory.register_folder) as register:
@@ -177,6 +178,11 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
             raise Refused(
                 f"{number}: the certificate is for another unit than {name}; name a run of the same unit"
+            )
+        if not replaced and old.data["record"]["head"] != certificate.found.record.head:
+            raise Refused(
+                f"{number}: the certificate is for another run than {name} ({old.data['run']}); name that run, "
+                "or add --replace if other results are to replace the old ones"
             )
         kind = "replaced" if replaced else "amended"
         before = Before(kind, number, old.time[:10], reason, old.files[f"{number}.xml"])

@@ -352,7 +352,7 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     worst, scale = result.worst, 1e6
     error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
     rows: list[tuple[str, list[Cell]]] = [
-        ("delta_g", [local_number(f"|Δg| ≤ {error} µg, U = {U} µg")]),
+        ("delta_g", [local_number(f"max |Δg| = {error} µg, U = {U} µg")]),
         ("rule", [rule_said(write.say, result.decision)]),
     ]
     if result.missing:

@@ -85,8 +85,8 @@ def key(request: MakeKey) -> int:
 
         public, fingerprint = new_certificate_key(file, name, cover, utc_now())
     out.print(f"private key: {file} (keep it secret: it signs in the laboratory's name)")
-    kind = "public key" if name is None else "certificate"
-    out.print(f"{kind}: {public} (give it to those who verify seals)")
+    kind, of = ("public key", "seals") if name is None else ("certificate", "certificates")
+    out.print(f"{kind}: {public} (give it to those who verify {of})")
     out.print(f"fingerprint: {fingerprint}")
     return 0
 

@@ -147,7 +147,8 @@ class BudgetResult(ResultModel):
     """the twelve coefficients by name, as in `order`"""
     covariance: Matrix
     correlation: Matrix
-    per_local_g: CovariancePart = Field(description="true if it excludes the uncertainty of local gravity")
+    per_local_g: CovariancePart
+    """u and covariance without the uncertainty of local gravity, as `bench calibrate` states them"""
     groups: dict[str, CovariancePart] = Field(description="combined contribution of stand, scale and block")
     sources: dict[str, SourcePart] = Field(description="contribution of each error, by name")
     acceleration: AccelerationPart

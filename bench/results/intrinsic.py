@@ -13,6 +13,7 @@ from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import table
 from bench.calibration.intrinsic import (
+    JOINT_LEVEL,
     Intrinsic,
     JointFactor,
     intrinsic_of,
@@ -72,10 +73,10 @@ def joint_part(u: Floats, dof: Floats) -> JointPart:
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 
 
-def joint_of(u: Floats, dof: Floats) -> JointFactor:
+def joint_of(u: Floats, dof: Floats, level: float = JOINT_LEVEL) -> JointFactor:
     """Return the joint coverage factor of numbers with `u` (m,) above 0, for their smallest `dof` (m,)."""
     known = u > 0
-    return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)))
+    return joint_factor(int(np.sum(known)), float(np.min(dof[known], initial=np.inf)), level)
 
 
 def joint_members(found: Calibration) -> dict[str, Any]:

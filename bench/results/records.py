@@ -60,7 +60,7 @@ class RunPart(ResultModel):
     readings: int
     verdict: str | None
     """verdict at the run's own verification points: passed, conditional pass, conditional fail, failed,
-    inconclusive, not complete or does not fit; null if there is none
+    inconclusive, not complete or does not fit; null if there is none or the record is damaged
     """
     to_go_on: str = Field(description="command that resumes the run; empty if nothing is left to do")
 

@@ -16,7 +16,7 @@ from bench.stats.repeats import Repeats
 MEANING: Final = {
     "restart": "a value of its own in each repeat",
     "drift": "a random walk from one repeat to the next",
-    "scale": "u times one factor, as where each repeat drifts within itself",
+    "scale": "a value of its own in each repeat, in proportion to u, as where each repeat drifts within itself",
 }
 
 
@@ -33,7 +33,8 @@ class TermPart(ResultModel):
 
     name: Literal["restart", "drift", "scale"]
     means: str
-    size: list[float] = Field(description="size for each kind of quantity; for `scale`, the factor on u")
+    size: list[float]
+    """standard deviation for each kind of quantity; for `scale`, in multiples of u"""
 
 
 class RepeatsPart(ResultModel):

@@ -44,7 +44,7 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
             instruments="simulated" if run.simulated else ("-" if state == "imported" else "real"),
             state=state,
             readings=int(run.manifest["readings"]) if run.imported else digest.readings,
-            verdict=_verdict(run),
+            verdict=None if digest.problems else _verdict(run),
             to_go_on=to_go_on,
         )
     except (RecordError, ValueError, TypeError, KeyError) as reason:

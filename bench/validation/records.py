@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -172,14 +173,19 @@ def changed(context: Context) -> Iterator[Finding]:
 
 
 def _with_another_digit(run: Run) -> tuple[list[bytes], int, bytes]:
-    """Return the lines of a record, the index of a reading, and that line with one digit changed."""
+    """Return the lines of a record, the index of a reading, and that line with the last digit of a mean changed."""
     lines = (run.folder / EVENTS).read_bytes().splitlines(keepends=True)
     at = next(n for n, line in enumerate(lines) if b'"mean": [' in line)
-    return lines, at, lines[at].replace(b'"mean": [', b'"mean": [1', 1)
+    last = re.compile(rb'("mean": \[-?\d*\.?\d*)(\d)')
+    return (
+        lines,
+        at,
+        last.sub(lambda number: number[1] + b"%d" % ((int(number[2]) + 1) % 10), lines[at], count=1),
+    )
 
 
 def changed_copy(run: Run) -> Run:
-    """Copy a run within its folder of runs, add a digit to a reading, and return the copy."""
+    """Copy a run within its folder of runs, change one digit of a reading, and return the copy."""
     lines, at, digit = _with_another_digit(run)
     return _copy(run, f"{run.name}-changed", {EVENTS: b"".join([*lines[:at], digit, *lines[at + 1 :]])})
 

@@ -85,6 +85,10 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert (status, "not signed, unchanged since it was issued" in out, "signer" in out) == (0, True, False)
     keeps_to("certificate-verify", json.loads(Path("v.json").read_text()))
     amend = ("certificate", "amend", "SIM-2026-0001", "finished", "--reason", "a name")
+    Path("bench.yaml").write_bytes((RECORDED.parent / "finished" / "bench.yaml").read_bytes())
+    assert bench("run", "quick", "--dry-run", "--bench", "bench.yaml", "--name", "other")[0] in (0, 1)
+    other = ("certificate", "amend", "SIM-2026-0001", "other", "--reason", "other results")
+    refused(bench(*other, *desk), "for another run than other (finished); name that run, or add --replace")
     printed(bench(*amend, *desk), "SIM-2026-0002")
     printed(bench(*verify), "AMENDED (SIM-2026-0002)", status=1)
     keeps_to("certificate-verify", json.loads(Path("v.json").read_text()))
@@ -103,6 +107,9 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert "amended (SIM-2026-0002)" in out
     assert "revoked (wrong unit)" in out
     assert bench("certificate", "finished", *desk)[1].startswith("finished: issued as SIM-2026-0003")
+    third = ("certificate", "amend", "SIM-2026-0003", *other[3:], "--replace")
+    printed(bench(*third, *desk), "SIM-2026-0004")
+    assert "replaced (SIM-2026-0004)" in bench("certificate", "register", *desk[:2])[1]
 
 
 @pytest.mark.slow

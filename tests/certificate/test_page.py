@@ -90,7 +90,7 @@ def test_values_end_at_the_place_of_their_uncertainty(certificate, body):
     text = " ".join(pages_of(body)).replace("−", "-")
     together = re.findall(r"(-?[\d.]+) (?:°C |m/s² )?± ([\d.]+)", text)
     assert len(together) == 12 + 2
-    worst = re.search(r"\|Δg\| ≤ ([\d.]+) µg, U = ([\d.]+) µg", text)
+    worst = re.search(r"max \|Δg\| = ([\d.]+) µg, U = ([\d.]+) µg", text)
     for value, U in (*together, worst.groups()):
         assert len(value.partition(".")[2]) == len(U.partition(".")[2])
         assert len(U.replace(".", "").strip("0")) <= 2

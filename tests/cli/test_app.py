@@ -112,11 +112,13 @@ def test_runs_and_show_tell_what_there_is(bench):
     assert bench("runs")[1].startswith("runs: no runs there")
     bench("run", "quick", "--dry-run", "--name", "one")
     out = bench("runs")[1]
-    assert re.search(r"one .*simulated .*finished .*22", out)
+    assert re.search(r"one .*simulated .*finished .*22 +PASSED", out)
     assert "events, chain of hashes complete\n" in bench("show", "one", "--verify")[1]
     events = Path("runs/one/events.jsonl")
     events.write_text(events.read_text().replace('"samples_taken": 5', '"samples_taken": 6', 1))
     printed(bench("show", "one", "--verify"), "the chain is broken", status=1)
+    assert re.search(r"one .*damaged .* -\n", bench("runs")[1])
+    assert json.loads(bench("show", "one", "--json", "-")[1])["verdict"] is None
     refused(bench("calibrate", "one"), "cannot be trusted")
 
 

@@ -52,6 +52,7 @@ from bench.certificate.dcc.nodes import (
 )
 from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder, in_each
 from bench.readings.table import Readings
+from bench.results.intrinsic import joint_of
 
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
@@ -334,7 +335,7 @@ def _instrument(texts: Sequence[Texts], one: Instrument) -> Node:
             node("dcc:referralID", held.number),
             node("dcc:procedure", "none"),
             node("dcc:value", "none"),
-            node("dcc:inValidityRange", "false" if one.expired else "true"),
+            node("dcc:inValidityRange", "false" if one.expired or one.later else "true"),
             node("dcc:traceable", "false" if one.foreign else "true"),
         )
     told = [("manufacturer", one.serial)] if one.serial else []
@@ -417,14 +418,14 @@ def _listed(values: Values, certificate: Certificate) -> Node:
     members = values.values
     spelt = [one.unit if "\\" in one.unit else SI_UNITS[one.unit] for one in members]
     coverage = certificate.coverage
+    u, nu = np.array([(one.u, one.dof) for one in members]).T
+    joint = joint_of(u, nu, coverage).k
     listed = real_list(
         [one.value for one in members],
         spelt,
         [one.name for one in members],
         ([one.U for one in members], [one.k for one in members], [coverage] * len(members)),
-        ellipsoidal(
-            values.covariance.tolist(), spelt, joint_factor(len(members), level=coverage).k, coverage
-        ),
+        ellipsoidal(values.covariance.tolist(), spelt, joint, coverage),
     )
     dof = _freedom(members)
     return node("dcc:quantity", listed, node("dcc:measurementMetaData", dof) if dof is not None else None)

@@ -259,6 +259,11 @@ class Standing:
         return until is not None and self.day > until
 
     @property
+    def later(self) -> bool:
+        """Whether the certificate is dated after the day of the readings."""
+        return self.day < self.certificate.date
+
+    @property
     def foreign(self) -> bool:
         """Whether the instrument reported a serial number other than that of its certificate."""
         stated = self.certificate.serial
@@ -301,11 +306,12 @@ class Standing:
             return
         if self.expired:
             until = certificate.valid_until
+            allowed = "with" if isinstance(self.section, VoltmeterForm) else "without"
             yield (
-                f"{which}, expired on {until}: its values are used with an allowance for drift since then; "
+                f"{which}, expired on {until}: its values are used {allowed} an allowance for drift since then; "
                 "have the instrument calibrated"
             )
-        if self.day < certificate.date:
+        if self.later:
             yield (
                 f"{which}, is dated after the readings ({self.day}): its values are used for earlier days "
                 "as for later ones"

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from lxml import etree
+from scipy import stats
 
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.intrinsic import joint_factor
@@ -92,6 +93,16 @@ def test_the_ellipsoid_of_twelve_holds_what_it_says():
     k = joint_factor(12, level=0.9545).k
     held = np.mean(np.sum(draws**2, axis=1) <= k * k)
     assert held == pytest.approx(0.9545, abs=4 * np.sqrt(0.9545 * 0.0455 / 200_000))
+
+
+@pytest.mark.parametrize("ref", ["coefficients", "coefficients_si", "inverse", "misalignments", "intrinsic"])
+def test_the_factor_of_an_ellipsoid_allows_for_few_degrees_of_freedom(root, issued_certificate, ref):
+    coverage, nu = issued_certificate.coverage, floats(of_result(root, ref, "dcc:metaData//si:valueXMLList"))
+    count = len(of_result(root, ref, "si:labelXMLList").split())
+    k = np.sqrt(count * stats.f.ppf(coverage, count, min(nu)))
+    stated = float(of_result(root, ref, "si:ellipsoidalRegionMUXMLList/si:coverageFactorXMLList"))
+    assert stated == pytest.approx(k, rel=1e-9)
+    assert stated > joint_factor(count, level=coverage).k
 
 
 def test_each_verification_point_has_its_statement(root, issued_certificate):
@@ -188,18 +199,24 @@ def test_a_simulated_run_says_so_and_is_not_called_traceable(root):
     assert root.findtext(path, namespaces=NAMESPACES) == "false"
 
 
-@pytest.mark.parametrize(("expired", "traceable"), [(False, "true"), (True, "false")])
-def test_a_real_run_on_an_expired_certificate_is_not_called_traceable(issued_certificate, expired, traceable):
+@pytest.mark.parametrize(
+    ("wrong", "traceable"), [({}, "true"), ({"expired": True}, "false"), ({"later": True}, "false")]
+)
+def test_a_real_run_on_an_expired_or_a_later_certificate_is_not_called_traceable(
+    issued_certificate, wrong, traceable
+):
     held = Held(number="7", laboratory="Acme", date="2025-01-01", valid_until="2026-01-01")
     found = issued_certificate.found
     instruments = [replace(one, certificate=held) for one in found.instruments]
-    instruments[0] = replace(instruments[0], expired=expired)
+    instruments[0] = replace(instruments[0], **wrong)
     real = replace(issued_certificate, found=replace(found, simulated=False, instruments=tuple(instruments)))
     root = etree.fromstring(document_of(real))
     path = ".//dcc:statement[@refType='bench_traceability']/dcc:traceable"
     assert root.findtext(path, namespaces=NAMESPACES) == traceable
     lacking = [text for text in missing(real) if "traceability" in text]
-    assert [instruments[0].name in text for text in lacking] == [True] * expired
+    assert [instruments[0].name in text for text in lacking] == [True] * len(wrong)
+    in_range = root.findtext(".//dcc:certificate/dcc:inValidityRange", namespaces=NAMESPACES)
+    assert in_range == traceable
 
 
 def test_an_instrument_without_a_certificate_has_none(root, issued_certificate):

@@ -130,6 +130,22 @@ def test_an_expired_certificate_is_said_from_the_day_after(tmp_path):
     ]
 
 
+def test_no_allowance_is_claimed_for_the_drift_of_a_head(tmp_path):
+    """u of a head is that of its table, however old it is."""
+    table = table_certificate({float(angle): 0.0 for angle in range(0, 360, 45)}, valid_until="2026-06-01")
+    (found,) = standings(certified(tmp_path, head=table), DAY + datetime.timedelta(days=1))
+    (remark,) = found.remarks()
+    assert "used without an allowance for drift since then" in remark
+
+
+def test_a_certificate_dated_after_the_readings_is_said(tmp_path):
+    bench = certified(tmp_path, meters={"y": meter_certificate()})
+    (before,) = standings(bench, datetime.date(2025, 12, 31))
+    (on_the_day,) = standings(bench, datetime.date(2026, 1, 1))
+    assert (before.later, on_the_day.later) == (True, False)
+    assert "is dated after the readings (2025-12-31)" in next(before.remarks())
+
+
 @pytest.mark.parametrize(
     ("answered", "foreign"),
     [
