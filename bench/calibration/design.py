@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from bench.model.effects import AppliedEffect, Parameter, Stage
 from bench.model.effects.base import InPart
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block
+
+T = TypeVar("T")
 
 FIXED = 12
 """Number of coefficients: they come first among the unknowns and have no prior."""
@@ -41,7 +43,8 @@ SYMBOLS: Mapping[str, str] = {
 
 AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 """Stages whose effects do not change the specific force."""
-MOST_KEPT: Final = 3
+MOST_KEPT: Final = 8
+"""Results that a problem keeps."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +237,7 @@ class Problem:
             nothing = np.zeros((0, 3))
             return Linearisation(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
         if self.model.effects:
-            return self._kept(block, others)
+            return self.kept(Problem._linear_with_effects, block, others)
         force, by_angle, by_stand = self.forces(block, others)
         columns = np.zeros((len(force), 3, FIXED + len(others)))
         columns[:, :, :FIXED] = coefficient_columns(force)
@@ -274,17 +277,18 @@ class Problem:
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property
-    def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
-        """Cache of the latest linearisations, because fits begin and end at the same points."""
+    def _last(self) -> dict[tuple[object, bytes, bytes], Any]:
         return {}
 
-    def _kept(self, block: Block, others: Floats) -> Linearisation:
-        point = block.vector.tobytes(), others.tobytes()
+    def kept(self, what: Callable[[Problem, Block, Floats], T], block: Block, others: Floats) -> T:
+        """Return `what(self, block, others)`; the latest results are kept, because fits share points."""
+        point = what, block.vector.tobytes(), others.tobytes()
         if point not in self._last:
-            self._last[point] = self._linear_with_effects(block, others)
+            self._last[point] = what(self, block, others)
             if len(self._last) > MOST_KEPT:
                 del self._last[next(iter(self._last))]
-        return self._last[point]
+        result: T = self._last[point]
+        return result
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         here, stand = self._model_at(others), self.stand_matrix(others)

@@ -54,6 +54,10 @@ def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
     """Return the rows of the problem's free readings, linearised about the point (`block`, `others`)."""
     if problem.free is None:
         return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros((0, 3)))
+    return problem.kept(_moduli, block, others)
+
+
+def _moduli(problem: Problem, block: Block, others: Floats) -> Modulus:
     force = _force(problem, problem.free, block, others)
     columns = np.zeros((len(force), FIXED + len(others)))
     columns[:, :FIXED], by_signal = modulus_slopes(force, block)

@@ -8,19 +8,18 @@ from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
-from bench.calibration.calibrate import first_guess, usable_rows
-from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.calibration.calibrate import Posed, first_guess, pose, usable_rows
+from bench.calibration.design import FIXED, Problem
 from bench.calibration.noise import repeat_groups, whiten
 from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
 from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
 from bench.model.forward import Stages
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.table import FREE, VERIFICATION, Readings
+from bench.readings.table import VERIFICATION, Readings
 
 SEED: Final = 1
 """Seed of the noise of the simulated readings."""
@@ -176,11 +175,12 @@ def _simulate(
     slow: Floats | None,
     by_ties: Floats | None,
 ) -> Simulation:
-    problem, fit = _fitted(readings, model, stand_u, join_verification=False)
-    joined = len(readings.verification()) > 0 and _hardly_told(problem, fit)
-    if joined:
-        problem, fit = _fitted(readings, model, stand_u, join_verification=True)
     rows = usable_rows(readings, model)
+    posed, fit = _fitted(readings, model, stand_u, join_verification=False)
+    joined = len(readings.verification()) > 0 and _hardly_told(posed.problem, fit)
+    if joined:
+        posed, fit = _fitted(readings, model, stand_u, join_verification=True)
+    problem = posed.problem
     effects = tuple(
         replace(applied, u=_u_of(index, problem, fit))
         for index, applied in enumerate(problem.effects_at(fit.others))
@@ -190,7 +190,7 @@ def _simulate(
     still = bench.readings(fit.block, problem.conditions, stand)
     noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
     weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
-    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined)
+    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined, posed=posed)
     more = np.zeros((FIXED, FIXED)) if by_ties is None else by_ties.T @ by_ties
     if slow is not None and calibration.drift is None:
         moved = np.einsum("pnc,nck->pk", calibration.gain, slow)
@@ -214,24 +214,13 @@ def _simulate(
 
 def _fitted(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], *, join_verification: bool
-) -> tuple[Problem, gls.Fit]:
-    """Fit as `calibrate` does, and keep all estimates with their joint covariance."""
-    rows = usable_rows(readings, model)
-    labels = [FREE, VERIFICATION] if join_verification else [FREE]
-    chosen = np.isin(readings.installation, labels)
-    free = _modulus_rows(readings, chosen) if chosen.any() else None
-    problem = make_problem(model, rows.conditions(), stand_u, free)
-    start = first_guess(problem, rows.signal, rows.resolution)
+) -> tuple[Posed, gls.Fit]:
+    """Fit the problem of `calibrate`, and keep all estimates with their joint covariance."""
+    posed = pose(readings, model, stand_u, join_verification=join_verification)
+    signal, resolution = posed.rows.signal, posed.rows.resolution
+    start = first_guess(posed.problem, signal, resolution)
     # one noise size for all channels, as in the null model and the thresholds of a diagnosis
-    return problem, gls.fit(problem, rows.signal, start, None, rows.resolution, one_size=True)
-
-
-def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
-    """Return the rows with a known modulus only, with the times and temperatures of the whole table."""
-    whole, own = readings.conditions(), readings.select(chosen).conditions()
-    warmth = whole.warmth_k[chosen] + whole.reference_c
-    conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth, began_s=None)
-    return FreeRows(readings.signal[chosen], conditions)
+    return posed, gls.fit(posed.problem, signal, start, None, resolution, one_size=True)
 
 
 def _hardly_told(problem: Problem, fit: gls.Fit) -> bool:
