@@ -14,9 +14,10 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import Posed, first_guess, pose, usable_rows
 from bench.calibration.design import FIXED, Problem
+from bench.calibration.free import modulus_columns
 from bench.calibration.noise import repeat_groups, whiten
 from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
-from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model import STAND_ANGLES, AppliedEffect, ForwardModel
 from bench.model.forward import Stages
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION, Readings
@@ -269,36 +270,27 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     rows = readings.select(chosen)
     if not len(rows):
         return ()
-    start = np.concatenate([fit.block.vector, fit.others])
+    block, model = fit.block, replace(problem.model, effects=problem.effects_at(fit.others))
     conditions = readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     # if the force is unknown, the input voltage is that read: effects may depend on earlier rows
-    unknown = ~np.isin(readings.installation, [VERIFICATION, *problem.model.installations])
+    unknown = ~np.isin(readings.installation, [VERIFICATION, *model.installations])
     voltage_v = np.where(unknown[:, None], readings.signal, np.nan)
 
-    def modulus(unknowns: Floats, by_effects: Floats | float = 0.0) -> tuple[Floats, Floats]:
-        block = Block.from_vector(unknowns[:FIXED])
-        model = replace(problem.model, effects=problem.effects_at(unknowns[FIXED:]))
-        force = np.full((len(readings), 3), np.nan)
-        force[chosen] = block.specific_force(rows.signal) + by_effects
-        for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
-            predicted = Stages(model, block, conditions, stand, force=force, voltage_v=voltage_v).readings
-            step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
-            force[chosen] += step
-            if np.max(np.abs(step)) < NEGLIGIBLE:
-                break
-        return force[chosen], np.linalg.norm(force[chosen], axis=1)
+    def at(acting: Floats) -> Stages:
+        whole = np.full((len(readings), 3), np.nan)
+        whole[chosen] = acting
+        return Stages(model, block, conditions, stand, force=whole, voltage_v=voltage_v)
 
-    force, size = modulus(start)
-    by_effects = force - fit.block.specific_force(rows.signal)
-    steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
-    steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
-    columns = np.zeros((len(rows), len(start)))  # a modulus does not depend on the stand's angles
-    for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
-        change = steps * (np.arange(len(start)) == j)
-        up, down = (modulus(start + step, by_effects)[1] for step in (change, -change))
-        columns[:, j] = (up - down) / (2 * steps[j])
-    by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
+    force = block.specific_force(rows.signal)
+    for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
+        step = np.linalg.solve(block.K, (rows.signal - at(force).readings[chosen]).T).T
+        force = force + step
+        if np.max(np.abs(step)) < NEGLIGIBLE:
+            break
+    size = np.linalg.norm(force, axis=1)
+    columns = modulus_columns(problem, block, fit.others, at, force, chosen)
+    by_signal = (force / size[:, None]) @ np.linalg.inv(block.K)
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
     variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)
     return tuple(

@@ -147,7 +147,7 @@ class Stages:
         force: Floats | None = None,
         voltage_v: Floats | None = None,
     ) -> None:
-        self._model, self._given = model, (conditions, block)
+        self.model, self._given = model, (conditions, block)
         self._known_force, self._known_v = force, voltage_v
         rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
         self._stand, self._angle = model.angles(conditions, rows, angle_rad, block)
@@ -172,15 +172,15 @@ class Stages:
         """
         conditions, own = self._given
         same = np.array_equal(np.diag(block.K), np.diag(own.K))  # all that effects see of a block
-        added = self._in_output if same else self._model.added_to_output(self._force, conditions, block)
-        return self._model.voltmeter_readings(block.output(self._force) + added, conditions, block)
+        added = self._in_output if same else self.model.added_to_output(self._force, conditions, block)
+        return self.model.voltmeter_readings(block.output(self._force) + added, conditions, block)
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
         """Return the readings in V, shape (n, 3), after the effect `new` replaces the effect `old`.
 
         Both act at the same stage; `old` is an effect of the model, or None to add `new` to the model.
         """
-        model, stage = self._model, new.effect.stage
+        model, stage = self.model, new.effect.stage
         change = model.addition(new, self._signals[stage], *self._given)
         if old is not None:
             if id(old) not in self._own:
@@ -199,11 +199,11 @@ class Stages:
         return self._read(model.output(force, *self._given))
 
     def _static(self, stand_rad: Floats, angle_rad: Floats) -> Floats:
-        static = self._model.static_force(self._given[0], stand_rad, angle_rad)
+        static = self.model.static_force(self._given[0], stand_rad, angle_rad)
         return _unless_known(self._known_force, static)
 
     def _read(self, voltage_v: Floats) -> Floats:
-        return self._model.voltmeter_readings(_unless_known(self._known_v, voltage_v), *self._given)
+        return self.model.voltmeter_readings(_unless_known(self._known_v, voltage_v), *self._given)
 
 
 def _unless_known(known: Floats | None, computed: Floats) -> Floats:
