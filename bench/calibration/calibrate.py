@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -58,6 +58,7 @@ def calibrate(
     find_shared: bool = True,
     known: KnownStand | None = None,
     nominal: Sequence[float] | None = None,
+    posed: Posed | None = None,
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
@@ -73,22 +74,16 @@ def calibrate(
     the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
     other runs: its angles replace those in `stand_u`, its noise is combined with that of the readings. `nominal`
     are nominal scale factors (x, y, z): free positions alone do not determine the signs, and take those of
-    `nominal`, or else positive ones.
+    `nominal`, or else positive ones. `posed` is the result of `pose` for these readings, if it is already known.
 
     Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """
     by = find_estimator(estimator)
-    chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
-    rows = chosen.oriented
-    if nominal_angles:
-        rows = mistakes.at_nominal_angles(rows)
-    conditions = rows.conditions()
-    if by.angles_rad is not None:
-        conditions = replace(conditions, angle_rad=by.angles_rad(rows))
     assumed = _still_assumed(assumed_u or {}, known)
-    problem = make_problem(
-        model, conditions, {**stand_u, **(assumed_u or {})}, _free_rows(chosen, readings), known
-    )
+    chosen, rows, problem = posed or pose(
+        readings, model, {**stand_u, **(assumed_u or {})}, by, known,
+        nominal_angles=nominal_angles, join_free=join_free, join_verification=join_verification,
+    )  # fmt: skip
     resolution = (rows if len(rows) else chosen.free).resolution
     naming = partial(mistakes.naming_deviating, problem, rows)
     with naming():
@@ -159,6 +154,34 @@ def calibrate(
         signs="" if not problem.upper else "positive" if nominal is None else "bench file",
         angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
     )
+
+
+class Posed(NamedTuple):
+    """The rows of a table that a calibration uses, the oriented ones with the angles to use, and its problem."""
+
+    chosen: FittedRows
+    rows: Readings
+    problem: Problem
+
+
+def pose(
+    readings: Readings,
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    by: Estimator = ESTIMATORS[GLS],
+    known: KnownStand | None = None,
+    *,
+    nominal_angles: bool = False,
+    join_free: bool = True,
+    join_verification: bool = False,
+) -> Posed:
+    """Return the rows and the problem of a calibration; the arguments and errors are those of `calibrate`."""
+    chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
+    rows = mistakes.at_nominal_angles(chosen.oriented) if nominal_angles else chosen.oriented
+    conditions = rows.conditions()
+    if by.angles_rad is not None:
+        conditions = replace(conditions, angle_rad=by.angles_rad(rows))
+    return Posed(chosen, rows, make_problem(model, conditions, stand_u, _free_rows(chosen, readings), known))
 
 
 def _still_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:

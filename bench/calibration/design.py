@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.model.conditions import Conditions
-from bench.model.effects import AppliedEffect, Parameter, Stage
+from bench.model.effects import AppliedEffect, Parameter
 from bench.model.effects.base import InPart
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block
+
+T = TypeVar("T")
 
 FIXED = 12
 """Number of coefficients: they come first among the unknowns and have no prior."""
@@ -39,9 +41,8 @@ SYMBOLS: Mapping[str, str] = {
 """Symbols of the stand angles, after the paper (which has no alpha5)."""
 
 
-AFTER_FORCE: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
-"""Stages whose effects do not change the specific force."""
-MOST_KEPT: Final = 3
+MOST_KEPT: Final = 8
+"""Results that a problem keeps."""
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ class Problem:
             nothing = np.zeros((0, 3))
             return Linearisation(nothing, np.zeros((0, 3, FIXED + len(others))), nothing)
         if self.model.effects:
-            return self._kept(block, others)
+            return self.kept(Problem._linear_with_effects, block, others)
         force, by_angle, by_stand = self.forces(block, others)
         columns = np.zeros((len(force), 3, FIXED + len(others)))
         columns[:, :, :FIXED] = coefficient_columns(force)
@@ -274,43 +275,46 @@ class Problem:
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property
-    def _last(self) -> dict[tuple[bytes, bytes], Linearisation]:
-        """Cache of the latest linearisations, because fits begin and end at the same points."""
+    def _last(self) -> dict[tuple[object, bytes, bytes], Any]:
         return {}
 
-    def _kept(self, block: Block, others: Floats) -> Linearisation:
-        point = block.vector.tobytes(), others.tobytes()
+    def kept(self, what: Callable[[Problem, Block, Floats], T], block: Block, others: Floats) -> T:
+        """Return `what(self, block, others)`; the latest results are kept, because fits share points."""
+        point = what, block.vector.tobytes(), others.tobytes()
         if point not in self._last:
-            self._last[point] = self._linear_with_effects(block, others)
+            self._last[point] = what(self, block, others)
             if len(self._last) > MOST_KEPT:
                 del self._last[next(iter(self._last))]
-        return self._last[point]
+        result: T = self._last[point]
+        return result
 
     def _linear_with_effects(self, block: Block, others: Floats) -> Linearisation:
         here, stand = self._model_at(others), self.stand_matrix(others)
         stages = Stages(here, block, self.conditions, stand)
-        early = any(applied.effect.stage not in AFTER_FORCE for applied in here.effects)
-        columns = np.empty((len(self.conditions), 3, FIXED + len(others)))
-        shift = 1e-3 * float(np.max(np.abs(block.K)))
-        for j in range(FIXED):
-            step = np.zeros(FIXED)
-            step[j] = shift
-            blocks = [Block.from_vector(block.vector + way) for way in (step, -step)]
-            up, down = (
-                here.readings(of, self.conditions, stand) if early else stages.of(of) for of in blocks
-            )
-            columns[:, :, j] = (up - down) / (2 * shift)
-        for j in range(len(others)):
+        columns = self.by_stages(stages, block, others)
+        for j in range(len(self.stand)):
             step = self.other_step(j)
-            ways = (others + step, others - step)
-            if j < len(self.stand):
-                stands = [self.stand_matrix(at) for at in ways]
-                up, down = (here.readings(block, self.conditions, at) for at in stands)
-            else:
-                i = self.effects[j - len(self.stand)].effect
-                up, down = (stages.instead(here.effects[i], self.effect_at(i, at)) for at in ways)
+            stands = [self.stand_matrix(at) for at in (others + step, others - step)]
+            up, down = (here.readings(block, self.conditions, at) for at in stands)
             columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
         return Linearisation(stages.readings, columns, self.slope(block, others))
+
+    def by_stages(self, stages: Stages, block: Block, others: Floats) -> Floats:
+        """Return the derivatives (n, 3, 12 + q) of the readings of `stages`, zero by the stand angles.
+
+        `stages` are those of the model at the point (`block`, `others`).
+        """
+        columns = np.zeros((len(stages.readings), 3, FIXED + len(others)))
+        shift = 1e-3 * float(np.max(np.abs(block.K)))
+        for j, step in enumerate(shift * np.eye(FIXED)):
+            up, down = (stages.of(Block.from_vector(block.vector + way)) for way in (step, -step))
+            columns[:, :, j] = (up - down) / (2 * shift)
+        for j, unknown in enumerate(self.effects, len(self.stand)):
+            i, step = unknown.effect, self.other_step(j)
+            ways = (self.effect_at(i, at) for at in (others + step, others - step))
+            up, down = (stages.instead(stages.model.effects[i], way) for way in ways)
+            columns[:, :, FIXED + j] = (up - down) / (2 * step[j])
+        return columns
 
     def _model_at(self, others: Floats) -> ForwardModel:
         """Return the model with the values `others` (q,) of the unknowns after the coefficients."""

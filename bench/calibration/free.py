@@ -6,23 +6,25 @@ noise of the three signals propagated through d|a|/dU.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Mask
 from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.mistakes import refuse_still
 from bench.calibration.result import CalibrationError, Noise, Triangular
 from bench.model.conditions import Conditions
-from bench.model.forward import ForwardModel
-from bench.model.geometry import Block, modulus_slopes
+from bench.model.forward import ForwardModel, Stages
+from bench.model.geometry import STAND_ANGLES, Block, modulus_slopes
 
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14
+STEP_G: Final = 1e-5
+"""Step of the central differences by the specific force, g: small beside the forms of all effects."""
 LEAST_POSITIONS: Final = 10
 """Least number of free positions: nine unknowns, and one more position to estimate the noise."""
 LEAST_PART: Final = 1e-3
@@ -54,43 +56,51 @@ def modulus_rows(problem: Problem, block: Block, others: Floats) -> Modulus:
     """Return the rows of the problem's free readings, linearised about the point (`block`, `others`)."""
     if problem.free is None:
         return Modulus(np.zeros(0), np.zeros((0, FIXED + len(others))), np.zeros((0, 3)))
-    force = _force(problem, problem.free, block, others)
-    columns = np.zeros((len(force), FIXED + len(others)))
-    columns[:, :FIXED], by_signal = modulus_slopes(force, block)
-    if problem.model.effects:
-        _differences(problem, block, others, columns)
-    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, by_signal)
+    return problem.kept(_moduli, block, others)
 
 
-def _differences(problem: Problem, block: Block, others: Floats, columns: Floats) -> None:
-    """Fill `columns` with the derivatives of |a| by central differences; those by stand angles stay zero."""
-    step = 1e-4 * float(np.max(np.abs(block.K)))
+def _moduli(problem: Problem, block: Block, others: Floats) -> Modulus:
+    free, model = problem.free, replace(problem.model, effects=problem.effects_at(others))
+    assert free is not None  # noqa: S101 - the caller has it
+    force = _force(model, free, block)
+    still = np.zeros((len(free.conditions.mounts), len(STAND_ANGLES)))
 
-    def size(vector: Floats, values: Floats) -> Floats:
-        at = Block.from_vector(vector)
-        return np.asarray(np.linalg.norm(_force(problem, problem.free, at, values), axis=1))
+    def at(acting: Floats) -> Stages:
+        return Stages(model, block, free.conditions, still, force=acting)
 
-    for j in range(FIXED):
-        change = step * np.eye(FIXED)[j]
-        up, down = size(block.vector + change, others), size(block.vector - change, others)
-        columns[:, j] = (up - down) / (2 * step)
-    for j in range(len(problem.stand), len(others)):
-        change = problem.other_step(j)
-        up, down = size(block.vector, others + change), size(block.vector, others - change)
-        columns[:, FIXED + j] = (up - down) / (2 * change[j])
+    columns = modulus_columns(problem, block, others, at, force, slice(None))
+    return Modulus(1.0 - np.linalg.norm(force, axis=1), columns, modulus_slopes(force, block)[1])
 
 
-def _force(problem: Problem, free: FreeRows | None, block: Block, others: Floats) -> Floats:
+def modulus_columns(
+    problem: Problem,
+    block: Block,
+    others: Floats,
+    at: Callable[[Floats], Stages],
+    force: Floats,
+    rows: Mask | slice,
+) -> Floats:
+    """Return the derivatives (m, 12 + q) of |a| by all unknowns at the force `force` (m, 3), g, of the `rows`.
+
+    `at` returns the stages of the model for a force of these rows. Since the readings U(a, p) are given, da/dp is
+    -(dU/da)^-1 dU/dp. The modulus does not depend on the angles of the stand.
+    """
+    if not problem.model.effects:
+        return np.pad(modulus_slopes(force, block)[0], ((0, 0), (0, len(others))))
+    by_unknown = problem.by_stages(at(force), block, others)[rows]
+    pairs = [(at(force + step).readings, at(force - step).readings) for step in STEP_G * np.eye(3)]
+    by_force = np.stack([(up - down)[rows] for up, down in pairs], axis=2) / (2 * STEP_G)
+    along = force / np.linalg.norm(force, axis=1, keepdims=True)
+    return np.asarray(-np.einsum("mi,mij,mjp->mp", along, np.linalg.inv(by_force), by_unknown, optimize=True))
+
+
+def _force(model: ForwardModel, free: FreeRows, block: Block) -> Floats:
     """Return the specific force (m, 3) of free readings, found by iteration on the forward model.
 
     Raises `CalibrationError` if an effect needs data that these readings lack, such as a head angle.
     """
-    assert free is not None  # noqa: S101 - the callers have it
     force = block.specific_force(free.signal)
-    if not problem.model.effects:
-        return force
-    model = replace(problem.model, effects=problem.effects_at(others))
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MOST_ROUNDS if model.effects else 0):
         left = free.signal - model.readings_at(force, free.conditions, block)
         step = np.linalg.solve(block.K, left.T).T
         force = force + step

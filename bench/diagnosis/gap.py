@@ -308,14 +308,14 @@ def _left_by_forms(
     seen = white @ (columns[rows] / noise.reading)
     size = np.linalg.norm(seen, axis=0)
     gram = seen.T @ (seen / np.maximum(size, 1e-300)) / np.maximum(size, 1e-300)[:, None]
-    explained = [
-        gram[0, 1 + form]
-        @ np.linalg.pinv(gram[np.ix_(1 + form, 1 + form)], INSEPARABLE, hermitian=True)
-        @ gram[0, 1 + form]
-        for form in forms
-    ]
+    explained = np.empty(len(forms))
+    width = np.array([len(form) for form in forms])
+    for own in (np.flatnonzero(width == one) for one in np.unique(width)):
+        at = 1 + np.array([forms[i] for i in own.tolist()])
+        inverse = np.linalg.pinv(gram[at[:, :, None], at[:, None, :]], INSEPARABLE, hermitian=True)
+        explained[own] = np.einsum("fp,fpq,fq->f", gram[0, at], inverse, gram[0, at])
     whole = float(size[0] ** 2)
-    return whole, whole * (1.0 - np.array(explained))
+    return whole, whole * (1.0 - explained)
 
 
 def determined(linear: LinearSystem, rows: Mask) -> bool:

@@ -277,6 +277,9 @@ class _Bill:
         self._mounts = [str(mount) for mount in linear.moved.mounts]
         self.left_out: dict[str, str] = {}
         self.plans = dict(self._possible(menu))
+        self.minutes = {
+            path: plan.expected_duration_s(bench.line_frequency) / 60.0 for path, plan in self.plans.items()
+        }
 
     def _possible(self, menu: Sequence[Path]) -> Iterator[tuple[Path, Plan]]:
         in_volts = self._diagnosis.linear.readings.unit == "V"
@@ -301,9 +304,6 @@ class _Bill:
         both = following(linear.readings, plan, self._model, linear.block, self._bench.line_frequency)
         return make_linear(both, self._model, self._stand_u)
 
-    def _minutes(self, plan: Plan) -> float:
-        return plan.expected_duration_s(self._bench.line_frequency) / 60.0
-
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
@@ -312,11 +312,11 @@ class _Bill:
         bills, chances = [], []
         for path, plan in self.plans.items():
             after = self._divergences(plan)
-            chances.append(Chance(path.stem, self._minutes(plan) / 60.0, self._answers(before, after)))
+            chances.append(Chance(path.stem, self.minutes[path] / 60.0, self._answers(before, after)))
             pairs = [Separation(*pair, before[pair], after[pair]) for pair in before]
             helped = tuple(s for s in pairs if s.after - s.before >= ALIAS**2 / 2.0)
             if helped:
-                bills.append((path, self._minutes(plan), helped))
+                bills.append((path, self.minutes[path], helped))
         if not bills:
             return None
         most = max(_settled(helped) for _, _, helped in bills)
@@ -380,14 +380,14 @@ class _Bill:
             if name in CATALOGUE.keys() - known and (name in diagnosis.hidden or size > half)
         ]
         bills = []
-        plans = sorted(self.plans.items(), key=lambda item: self._minutes(item[1])) if blind else []
+        plans = sorted(self.plans.items(), key=lambda item: self.minutes[item[0]]) if blind else []
         for path, plan in tracked(plans, "what to measure next"):
             design = ReadingDesign(self._linear(plan), diagnosis.noise, self._forms)
             forms = {name: forms_everywhere(name) for name in blind}
             design.seen(tuple(part for own in forms.values() for form in own for part in form))
             shown = [name for name, own in forms.items() if design.visible(*own) >= half / 2.0]
             if shown:
-                bills.append((path, self._minutes(plan), tuple(shown)))
+                bills.append((path, self.minutes[path], tuple(shown)))
             if len(shown) == len(blind):
                 break  # every other procedure takes longer
         if not bills:

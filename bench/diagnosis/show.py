@@ -8,19 +8,19 @@ from functools import cached_property, partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
-from bench.calibration.calibrate import first_guess, usable_rows
-from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
+from bench.calibration.calibrate import Posed, first_guess, pose, usable_rows
+from bench.calibration.design import FIXED, Problem
+from bench.calibration.free import modulus_columns
 from bench.calibration.noise import repeat_groups, whiten
 from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
-from bench.model import STAND_ANGLES, AppliedEffect, Block, ForwardModel
+from bench.model import STAND_ANGLES, AppliedEffect, ForwardModel
 from bench.model.forward import Stages
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.table import FREE, VERIFICATION, Readings
+from bench.readings.table import VERIFICATION, Readings
 
 SEED: Final = 1
 """Seed of the noise of the simulated readings."""
@@ -176,13 +176,14 @@ def _simulate(
     slow: Floats | None,
     by_ties: Floats | None,
 ) -> Simulation:
-    problem, fit = _fitted(readings, model, stand_u, join_verification=False)
-    joined, untold = False, _hardly_told(problem, fit)
+    rows = usable_rows(readings, model)
+    posed, fit = _fitted(readings, model, stand_u, join_verification=False)
+    joined, untold = False, _hardly_told(posed.problem, fit)
     if untold.any() and len(readings.verification()):
         with_points = _fitted(readings, model, stand_u, join_verification=True)
-        joined = bool(np.any(untold & ~_hardly_told(*with_points)))
-        problem, fit = with_points if joined else (problem, fit)
-    rows = usable_rows(readings, model)
+        joined = bool(np.any(untold & ~_hardly_told(with_points[0].problem, with_points[1])))
+        posed, fit = with_points if joined else (posed, fit)
+    problem = posed.problem
     effects = tuple(
         replace(applied, u=_u_of(index, problem, fit))
         for index, applied in enumerate(problem.effects_at(fit.others))
@@ -192,7 +193,7 @@ def _simulate(
     still = bench.readings(fit.block, problem.conditions, stand)
     noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
     weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
-    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined)
+    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined, posed=posed)
     more = np.zeros((FIXED, FIXED)) if by_ties is None else by_ties.T @ by_ties
     if slow is not None and calibration.drift is None:
         moved = np.einsum("pnc,nck->pk", calibration.gain, slow)
@@ -216,24 +217,13 @@ def _simulate(
 
 def _fitted(
     readings: Readings, model: ForwardModel, stand_u: Mapping[str, float], *, join_verification: bool
-) -> tuple[Problem, gls.Fit]:
-    """Fit as `calibrate` does, and keep all estimates with their joint covariance."""
-    rows = usable_rows(readings, model)
-    labels = [FREE, VERIFICATION] if join_verification else [FREE]
-    chosen = np.isin(readings.installation, labels)
-    free = _modulus_rows(readings, chosen) if chosen.any() else None
-    problem = make_problem(model, rows.conditions(), stand_u, free)
-    start = first_guess(problem, rows.signal, rows.resolution)
+) -> tuple[Posed, gls.Fit]:
+    """Fit the problem of `calibrate`, and keep all estimates with their joint covariance."""
+    posed = pose(readings, model, stand_u, join_verification=join_verification)
+    signal, resolution = posed.rows.signal, posed.rows.resolution
+    start = first_guess(posed.problem, signal, resolution)
     # one noise size for all channels, as in the null model and the thresholds of a diagnosis
-    return problem, gls.fit(problem, rows.signal, start, None, rows.resolution, one_size=True)
-
-
-def _modulus_rows(readings: Readings, chosen: NDArray[np.bool_]) -> FreeRows:
-    """Return the rows with a known modulus only, with the times and temperatures of the whole table."""
-    whole, own = readings.conditions(), readings.select(chosen).conditions()
-    warmth = whole.warmth_k[chosen] + whole.reference_c
-    conditions = replace(own, time_s=whole.elapsed_s[chosen], temperature_c=warmth, began_s=None)
-    return FreeRows(readings.signal[chosen], conditions)
+    return posed, gls.fit(posed.problem, signal, start, None, resolution, one_size=True)
 
 
 def _hardly_told(problem: Problem, fit: gls.Fit) -> Mask:
@@ -283,36 +273,27 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     rows = readings.select(chosen)
     if not len(rows):
         return ()
-    start = np.concatenate([fit.block.vector, fit.others])
+    block, model = fit.block, replace(problem.model, effects=problem.effects_at(fit.others))
     conditions = readings.conditions()
     stand = np.zeros((len(conditions.mounts), len(STAND_ANGLES)))
     # if the force is unknown, the input voltage is that read: effects may depend on earlier rows
-    unknown = ~np.isin(readings.installation, [VERIFICATION, *problem.model.installations])
+    unknown = ~np.isin(readings.installation, [VERIFICATION, *model.installations])
     voltage_v = np.where(unknown[:, None], readings.signal, np.nan)
 
-    def modulus(unknowns: Floats, by_effects: Floats | float = 0.0) -> tuple[Floats, Floats]:
-        block = Block.from_vector(unknowns[:FIXED])
-        model = replace(problem.model, effects=problem.effects_at(unknowns[FIXED:]))
-        force = np.full((len(readings), 3), np.nan)
-        force[chosen] = block.specific_force(rows.signal) + by_effects
-        for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
-            predicted = Stages(model, block, conditions, stand, force=force, voltage_v=voltage_v).readings
-            step = np.linalg.solve(block.K, (rows.signal - predicted[chosen]).T).T
-            force[chosen] += step
-            if np.max(np.abs(step)) < NEGLIGIBLE:
-                break
-        return force[chosen], np.linalg.norm(force[chosen], axis=1)
+    def at(acting: Floats) -> Stages:
+        whole = np.full((len(readings), 3), np.nan)
+        whole[chosen] = acting
+        return Stages(model, block, conditions, stand, force=whole, voltage_v=voltage_v)
 
-    force, size = modulus(start)
-    by_effects = force - fit.block.specific_force(rows.signal)
-    steps = np.full(len(start), 1e-4 * float(np.max(np.abs(fit.block.K))))
-    steps[FIXED:] = [problem.other_step(j)[j] for j in range(len(fit.others))]
-    columns = np.zeros((len(rows), len(start)))  # a modulus does not depend on the stand's angles
-    for j in [*range(FIXED), *range(FIXED + len(problem.stand), len(start))]:
-        change = steps * (np.arange(len(start)) == j)
-        up, down = (modulus(start + step, by_effects)[1] for step in (change, -change))
-        columns[:, j] = (up - down) / (2 * steps[j])
-    by_signal = (force / size[:, None]) @ np.linalg.inv(fit.block.K)
+    force = block.specific_force(rows.signal)
+    for _ in range(gls.MOST_ITERATIONS if model.effects else 0):
+        step = np.linalg.solve(block.K, (rows.signal - at(force).readings[chosen]).T).T
+        force = force + step
+        if np.max(np.abs(step)) < NEGLIGIBLE:
+            break
+    size = np.linalg.norm(force, axis=1)
+    columns = modulus_columns(problem, block, fit.others, at, force, chosen)
+    by_signal = (force / size[:, None]) @ np.linalg.inv(block.K)
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
     variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)
     return tuple(

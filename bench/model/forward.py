@@ -64,7 +64,11 @@ class ForwardModel:
 
     def output(self, force: Floats, conditions: Conditions, block: Block) -> Floats:
         """Return the voltages at the meters' terminals, V, shape (n, 3), for the acting `force` (n, 3), g."""
-        return block.output(force) + self._additions(Stage.BLOCK_OUTPUT, force, conditions, block)
+        return block.output(force) + self.added_to_output(force, conditions, block)
+
+    def added_to_output(self, force: Floats, conditions: Conditions, block: Block) -> Floats | float:
+        """Return what effects add to the output of the block, V, shape (n, 3), for the acting `force` (n, 3), g."""
+        return self._additions(Stage.BLOCK_OUTPUT, force, conditions, block)
 
     def voltmeter_readings(self, voltage_v: Floats, conditions: Conditions, block: Block) -> Floats:
         """Return the meter readings, V, shape (n, 3), for the voltages `voltage_v` (n, 3) at the meters' terminals.
@@ -143,13 +147,14 @@ class Stages:
         force: Floats | None = None,
         voltage_v: Floats | None = None,
     ) -> None:
-        self._model, self._given = model, (conditions, block)
+        self.model, self._given = model, (conditions, block)
         self._known_force, self._known_v = force, voltage_v
         rows, angle_rad = stand_rad[conditions.mount], conditions.angle_rad + setting_error_rad
         self._stand, self._angle = model.angles(conditions, rows, angle_rad, block)
         static = self._static(self._stand, self._angle)
         self._force = model.force(static, *self._given)
-        self._voltage_v = model.output(self._force, *self._given)
+        self._in_output = model.added_to_output(self._force, *self._given)
+        self._voltage_v = block.output(self._force) + self._in_output
         self._signals = {
             Stage.STAND: rows,
             Stage.HEAD_ANGLE: angle_rad,
@@ -157,27 +162,30 @@ class Stages:
             Stage.BLOCK_OUTPUT: self._force,
             Stage.VOLTMETER_READING: _unless_known(voltage_v, self._voltage_v),
         }
+        self._own: dict[int, Floats] = {}
         self.readings = self._read(self._voltage_v)
 
     def of(self, block: Block) -> Floats:
         """Return the readings in V, shape (n, 3), of another block at the same specific force.
 
-        The model must have no effect before the output of the block. `voltage_v` is left out of account.
+        `voltage_v` is left out of account.
         """
-        conditions, _ = self._given
-        return self._model.voltmeter_readings(
-            self._model.output(self._force, conditions, block), conditions, block
-        )
+        conditions, own = self._given
+        same = np.array_equal(np.diag(block.K), np.diag(own.K))  # all that effects see of a block
+        added = self._in_output if same else self.model.added_to_output(self._force, conditions, block)
+        return self.model.voltmeter_readings(block.output(self._force) + added, conditions, block)
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
         """Return the readings in V, shape (n, 3), after the effect `new` replaces the effect `old`.
 
-        Both act at the same stage. With None for `old`, the effect `new` is added to the model.
+        Both act at the same stage; `old` is an effect of the model, or None to add `new` to the model.
         """
-        model, stage = self._model, new.effect.stage
+        model, stage = self.model, new.effect.stage
         change = model.addition(new, self._signals[stage], *self._given)
         if old is not None:
-            change = change - model.addition(old, self._signals[stage], *self._given)
+            if id(old) not in self._own:
+                self._own[id(old)] = model.addition(old, self._signals[stage], *self._given)
+            change = change - self._own[id(old)]
         if stage is Stage.VOLTMETER_READING:
             return self.readings + change
         if stage is Stage.BLOCK_OUTPUT:
@@ -191,11 +199,11 @@ class Stages:
         return self._read(model.output(force, *self._given))
 
     def _static(self, stand_rad: Floats, angle_rad: Floats) -> Floats:
-        static = self._model.static_force(self._given[0], stand_rad, angle_rad)
+        static = self.model.static_force(self._given[0], stand_rad, angle_rad)
         return _unless_known(self._known_force, static)
 
     def _read(self, voltage_v: Floats) -> Floats:
-        return self._model.voltmeter_readings(_unless_known(self._known_v, voltage_v), *self._given)
+        return self.model.voltmeter_readings(_unless_known(self._known_v, voltage_v), *self._given)
 
 
 def _unless_known(known: Floats | None, computed: Floats) -> Floats:

@@ -103,9 +103,9 @@ class Plan:
 
         If the block is switched on before the first step, switching and warm-up count under "power".
         """
-        total = dict.fromkeys(self.counts(), 0.0)
+        total, times = dict.fromkeys(self.counts(), 0.0), Times(self.operator_time, line_hz, supply)
         for step in self.steps:
-            total[step.NAME] += self.step_duration_s(step, line_hz, supply)
+            total[step.NAME] += step.takes_s(times)
         if supply is not None and self.begins_on():
             total["power"] = total.get("power", 0.0) + power_duration_s(SWITCHED_ON, supply)
         return total

@@ -95,7 +95,7 @@ class Seen:
     @property
     def scale(self) -> Floats:
         """Scale factors K_ii of the channels along their own axes, V/g, shape (3,)."""
-        return np.diag(self.block.K)
+        return self.block.K.diagonal()
 
 
 class Effect(ABC):
