@@ -55,8 +55,8 @@ def sentence(event: Event) -> str:
         case EventType.CHOSEN:
             return chosen_in_words(data)
         case EventType.LEFT_SAFE:
-            tasks = "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
-            return message(f"still to do: {tasks}")
+            tasks = (message(f"still to do: {name}: {what}") for name, what in data["to_do"].items())
+            return "\n".join(tasks)
     return _of_somebody(event) or event.type
 
 
@@ -230,7 +230,7 @@ def in_words(event: Event, plan: Plan) -> str:
         return said(event)
     if event.type != EventType.STEP_DONE:
         why = event.data.get("error") or event.data.get("reason")
-        return f"{event.type}: {why}" if why else sentence(event)
+        return f"{event.type}: {why}" if why else sentence(event).replace("\n", "; ")
     text = plan.steps[event.step].describe()
     match event.result:
         case Reading(mean=mean, unit=unit):

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
@@ -172,6 +173,7 @@ def charted(run: Run) -> dict[str, Any]:
 MOST_LINES: Final = 15
 """Largest number of lines of an ending."""
 _MOST_SENTENCES: Final = 2
+NOTE: Final = message("note")
 
 
 def ending(found: Conclusion) -> list[str]:
@@ -185,7 +187,7 @@ def ending(found: Conclusion) -> list[str]:
         lines.append(f"check block: no control chart: {found.no_chart}")
     lines += _shortened(
         [
-            f"note: {look}"
+            f"{NOTE}: {look}"
             for look in (*(found.calibration.doubts if found.calibration else ()), *found.looks)
         ],
         f"bench diagnose {name_to_type(found.run.folder)}",
@@ -224,7 +226,7 @@ def _shortened(lines: list[str], elsewhere: str) -> list[str]:
     return (
         lines
         if rest <= 1
-        else [*lines[:_MOST_SENTENCES], f"note: {rest} more notes; '{elsewhere}' explains them"]
+        else [*lines[:_MOST_SENTENCES], message(f"note: {rest} more notes; '{elsewhere}' explains them")]
     )
 
 
