@@ -269,13 +269,17 @@ class Catalogue:
         """Return the translation of `text`, an entry with filled blanks; None if no entry matches.
 
         `sure` tries the entries with at least `_SURE` letters. Otherwise the shorter entries are tried, such as
-        "{0} in {1}", and their blanks match short values only. With `clauses`, a blank at the start of an entry
-        may match several clauses or sentences.
+        "{0} in {1}", and their blanks match short values only. With `clauses`, the blanks of an entry that
+        begins with one may match several clauses or sentences.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
-                if not clauses and entry.english.startswith("{") and _CLAUSE_END.search(found[1]):
+                if (
+                    not clauses
+                    and entry.english.startswith("{")
+                    and any(map(_CLAUSE_END.search, values.values()))
+                ):
                     continue
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
                     return self.fill(
@@ -290,7 +294,7 @@ def _letters(entry: Entry) -> int:
 
 
 _OF_SCRIPTS: Final = tuple(f"bench/{room}/" for room in ("panel", "run", "config", "results", "base"))
-_OF_PROMPTS: Final = ("drivers/", "procedures/")
+_OF_PROMPTS: Final = ("drivers/", "procedures/", "names-shown")
 
 
 def texts_for_scripts(name: str) -> str:

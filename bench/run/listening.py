@@ -259,8 +259,9 @@ class Asker:
         if left.flaw:
             return left.flaw
         if left.id == self._answered:
-            by = f" by {self.answered_by.by}" if self.answered_by.by else ""
-            return message(f"the question was answered already{by}")
+            by = self.answered_by.by
+            already = message("the question was answered already")
+            return message(f"the question was answered already by {by}") if by else already
         if self._prompt is None:
             return message("no question is open")
         return "" if left.id == self._id else message("it answers another question than the open one")

@@ -62,9 +62,10 @@ def sentence(event: Event) -> str:
 
 def said(event: Event) -> str:
     """Return a sentence on a recorded answer: the answer, its author and place."""
-    by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
+    by, who = _by(event.data), event.data.get("by")
     if event.type == EventType.ANSWERED:
-        return f"answered{by}: {event.data['answer']}"
+        answer = event.data["answer"]
+        return message(f"{who} answered: {answer}") if who and not by else message(f"answered{by}: {answer}")
     return message(f"an answer{by} is not accepted: {event.data['why']}")
 
 

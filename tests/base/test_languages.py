@@ -61,6 +61,8 @@ STANDS = "check that it stands still, and if not, press its emergency stop"
         "head: it stalled at 5°00′00″, sent to 9°00′00″: no progress in 5 s; check the load and that nothing "
         "blocks the head, then repeat this step",
         "redo is not possible: no step is running yet",
+        "voltmeter.y: ADDRESS closed the connection -; check that the instrument is on and nobody else uses it, "
+        "then repeat this step",
     ],
 )
 def test_what_a_halted_run_says_is_translated_clause_by_clause(ukrainian, text):

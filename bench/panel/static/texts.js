@@ -37,7 +37,7 @@ const _ = (() => {
     for (const { names, pattern, forms, sure, first } of filled) {
       if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
-      if (found && !clauses && first && /; |[.?!] (?=[A-Z(])/.test(found[1])) continue;
+      if (found && !clauses && first && found.slice(1).some((value) => /; |[.?!] (?=[A-Z(])/.test(value))) continue;
       if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
     }
