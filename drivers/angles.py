@@ -8,7 +8,7 @@ from typing import Final, Literal
 
 from drivers.interfaces import message
 
-EXAMPLE: Final = "45 00 10 or 45°00′10″ or 45.0028"
+EXAMPLE: Final = message("45 00 10 or 45°00′10″ or 45.0028")
 
 ROUNDING_RAD: Final = 1e-10
 """Tolerance for floating-point rounding, rad, so that a reading exactly at the limit is accepted."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from drivers.interfaces import BenchError, Instrument, InstrumentLost, InstrumentRefused
+from drivers.interfaces import BenchError, Instrument, InstrumentLost, InstrumentRefused, message
 
-SEE_IT_STANDS: Final = "check that it stands still; if not, press its emergency stop"
+SEE_IT_STANDS: Final = message("check that it stands still, and if not, press its emergency stop")
 """The manual remedy for a head whose stop failed."""
-STAYS_REMOTE: Final = "its front panel stays in remote: press its local key"
+STAYS_REMOTE: Final = message("its front panel stays in remote: press its local key")
 """The manual remedy for an instrument that did not return to local control."""
 
 
@@ -32,7 +32,8 @@ class Attempts:
             left = action()
         except BaseException as error:
             self._failures.append(error)
-            self._told.append(f"{by_hand} ({why_failed(error)})")
+            cause = message(f"Cause: {why_failed(error)}")
+            self._told.append(f"{by_hand}. {cause}")
             return False
         if isinstance(left, str) and left:
             self._told.append(left)
@@ -65,7 +66,8 @@ def let_go(instrument: Instrument) -> str:
     """Close an instrument; return what a person must still do, or an empty string if nothing."""
     attempts = Attempts()
     attempts.make(
-        "could not be released: check that it stands still, then switch it off and on", instrument.close
+        message("could not be released: check that it stands still, then switch it off and on"),
+        instrument.close,
     )
     return attempts.end()
 
@@ -74,4 +76,4 @@ def why_failed(error: BaseException) -> str:
     """Return the cause of a failure in words; any error but a `BenchError` is reported as a driver's failure."""
     if isinstance(error, BenchError):
         return error.cause
-    return f"its driver failed with {type(error).__name__}: {error}"
+    return message(f"its driver failed with {type(error).__name__}: {error}")

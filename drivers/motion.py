@@ -16,6 +16,7 @@ from drivers.interfaces import (
     InstrumentRefused,
     LimitExceeded,
     WentAstray,
+    message,
 )
 from drivers.making_safe import SEE_IT_STANDS, Attempts, why_failed
 from drivers.wire.visa import ProvedInstrument
@@ -62,13 +63,13 @@ class TravelWatch:
         it stalled.
         """
         if not self.travel.contains(angle_rad, self.travel.tolerance_rad):
-            raise self._astray(angle_rad, f"outside its limits, {self.travel.text}")
+            raise self._astray(angle_rad, message(f"outside its limits, {self.travel.text}"))
         left_rad = abs(self.target_rad - angle_rad)
         self._was_near = self._was_near or left_rad <= self._near_rad
         noise_rad = max(NOISE_RAD, 4.0 * self.travel.tolerance_rad)
         farthest_rad = self._near_rad + noise_rad if self._was_near else self._left_rad + noise_rad
         if left_rad > farthest_rad:
-            raise self._astray(angle_rad, "away from its target")
+            raise self._astray(angle_rad, message("away from its target"))
         self._left_rad = min(self._left_rad, left_rad)
         if self._progress_rad - self._left_rad >= _LEAST_OF_SPEED * self.travel.speed_rad_s * STALLED_S:
             self._progress_rad, self._progress_s = self._left_rad, now_s
@@ -78,18 +79,24 @@ class TravelWatch:
     def _astray(self, angle_rad: float, where: str) -> BenchError:
         return WentAstray(
             self.name,
-            f"it moved {where}: sent from {format_dms(self.start_rad)} to {format_dms(self.target_rad)} it was at "
-            f"{format_dms(angle_rad)} and was stopped",
-            "check the sign and the scale of the axis in the controller and the bench file before it moves again, "
-            "watching the cables",
+            message(
+                f"it moved {where}: sent from {format_dms(self.start_rad)} to {format_dms(self.target_rad)} "
+                f"it was at {format_dms(angle_rad)} and was stopped"
+            ),
+            message(
+                "check the sign and the scale of the axis in the controller and the bench file before it moves "
+                "again, watching the cables"
+            ),
         )
 
     def _stalled(self, angle_rad: float, stood_s: float) -> BenchError:
         return InstrumentRefused(
             self.name,
-            f"it stalled at {format_dms(angle_rad)}, sent to {format_dms(self.target_rad)}: no progress in "
-            f"{stood_s:.0f} s",
-            "check the load and that nothing blocks the head, then repeat this step",
+            message(
+                f"it stalled at {format_dms(angle_rad)}, sent to {format_dms(self.target_rad)}: no progress in "
+                f"{stood_s:.0f} s"
+            ),
+            message("check the load and that nothing blocks the head, then repeat this step"),
         )
 
 
@@ -188,17 +195,18 @@ class Mover:
             shown = format_dms(target_rad) if math.isfinite(target_rad) else f"{target_rad}"
             raise LimitExceeded(
                 self._name,
-                f"{shown} is outside its limits, {self._travel.text}",
-                "change the angle in the procedure or the limits in the bench file",
+                message(f"{shown} is outside its limits, {self._travel.text}"),
+                message("change the angle in the procedure or the limits in the bench file"),
             )
         from_rad = self._backed_off(target_rad, direction)
         if not self._travel.contains(from_rad):
-            side = "below" if direction > 0 else "above"
             raise LimitExceeded(
                 self._name,
-                f"to come to {format_dms(target_rad)} from {side} it must start at {format_dms(from_rad)}, "
-                f"outside its limits, {self._travel.text}",
-                "change the direction of approach in the procedure or the limits in the bench file",
+                message(
+                    f"to come to {format_dms(target_rad)} from {'below' if direction > 0 else 'above'} "
+                    f"it must start at {format_dms(from_rad)}, outside its limits, {self._travel.text}"
+                ),
+                message("change the direction of approach in the procedure or the limits in the bench file"),
             )
 
     def move(self, target_rad: float, direction: Direction) -> HeadPosition:
@@ -221,7 +229,9 @@ class Mover:
                 self._axis.stop()
             except Exception as failed:
                 error.add_note(
-                    f"{self._name}: its stop is not confirmed: {SEE_IT_STANDS} ({why_failed(failed)})"
+                    message(
+                        f"the stop of {self._name} is not confirmed, {SEE_IT_STANDS} (cause: {why_failed(failed)})"
+                    )
                 )
             raise
 
@@ -232,8 +242,8 @@ class Mover:
             if self._clock.now_s() > deadline_s:
                 raise InstrumentRefused(
                     self._name,
-                    f"it still moves after {limit_s:.0f} s",
-                    "check the head and its speed in the bench file, then repeat this step",
+                    message(f"it still moves after {limit_s:.0f} s"),
+                    message("check the head and its speed in the bench file, then repeat this step"),
                 )
             self._clock.sleep(self._travel.poll_s)
 
@@ -244,8 +254,8 @@ class Mover:
         if not self._travel.contains(angle_rad, self._travel.tolerance_rad):
             raise LimitExceeded(
                 self._name,
-                f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}",
-                "bring it back within them by hand, watching the cables",
+                message(f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}"),
+                message("bring it back within them by hand, watching the cables"),
             )
 
     def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
@@ -278,17 +288,22 @@ class Mover:
     ) -> InstrumentRefused:
         target = format_dms(target_rad)
         if moving:
-            cause = f"it still moved after {limit_s:.0f} s, at {format_dms(angle_rad)}, sent to {target}"
+            cause = message(
+                f"it still moved after {limit_s:.0f} s, at {format_dms(angle_rad)}, sent to {target}"
+            )
         else:
-            side = "above" if angle_rad > target_rad else "below"
-            cause = (
+            above = angle_rad > target_rad
+            cause = message(
                 f"it did not come to rest within {format_dms(self._travel.tolerance_rad, 1)} of {target} in "
-                f"{limit_s:.0f} s, it is {format_dms(abs(angle_rad - target_rad), 1)} {side} it"
+                f"{limit_s:.0f} s, it is {format_dms(abs(angle_rad - target_rad), 1)} "
+                f"{'above' if above else 'below'} it"
             )
         return InstrumentRefused(
             self._name,
             cause,
-            "check that nothing blocks the head, its load, its scale and its speed, then repeat this step",
+            message(
+                "check that nothing blocks the head, its load, its scale and its speed, then repeat this step"
+            ),
         )
 
 

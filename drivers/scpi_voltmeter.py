@@ -25,6 +25,7 @@ from drivers.interfaces import (
     LimitExceeded,
     VoltmeterLimits,
     VoltmeterSettings,
+    message,
 )
 from drivers.making_safe import STAYS_REMOTE, Attempts
 
@@ -138,7 +139,7 @@ class ScpiVoltmeter(ABC):
         raise InstrumentRefused(
             self.name,
             f"{self._session.resource} is {reply!r}, not {self.called}",
-            f"check the address in the bench file{f' ({self.hint})' if self.hint else ''}",
+            message(f"check the address in the bench file{f' ({self.hint})' if self.hint else ''}"),
         )
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
@@ -177,7 +178,9 @@ class ScpiVoltmeter(ABC):
         `InstrumentLost`, `BadReading`.
         """
         if wrong := self.limits.transgressions(settings):
-            raise LimitExceeded(self.name, f"cannot do {', '.join(wrong)}", "change the procedure")
+            raise LimitExceeded(
+                self.name, message(f"cannot do {', '.join(wrong)}"), message("change the procedure")
+            )
         self._connection = None
         opened = self._identified is not None
         if opened and self._identified != self._session.connection:
@@ -202,7 +205,9 @@ class ScpiVoltmeter(ABC):
         """
         if self._settings is None:
             raise InstrumentRefused(
-                self.name, "no range, NPLC and samples were set", "configure it before a reading"
+                self.name,
+                "no range, NPLC and samples were set",
+                "configure it before a reading",
             )
         if self._connection is None or self._connection != self._session.connection:
             self.open()
@@ -224,7 +229,9 @@ class ScpiVoltmeter(ABC):
         settings = self._settings
         if settings is None or not self._started or self._connection != self._session.connection:
             raise BadReading(
-                self.name, "no reading was started over this connection", "start the reading again"
+                self.name,
+                "no reading was started over this connection",
+                "start the reading again",
             )
         reply = self._fetch(settings)
         self._refuse_interruption()
@@ -336,7 +343,7 @@ class ScpiVoltmeter(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"{cause}: {', '.join(troubles)}",
-                "look these up in the meter's manual, and check that nobody else controls the meter",
+                message("look these up in the meter's manual, and check that nobody else controls the meter"),
             )
 
     def _refuse_overload(
@@ -346,8 +353,10 @@ class ScpiVoltmeter(ABC):
         if over:
             raise BadReading(
                 self.name,
-                f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range",
-                "choose a higher range in the procedure, or check the wiring and power of the block",
+                message(
+                    f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range"
+                ),
+                message("choose a higher range in the procedure, or check the wiring and power of the block"),
             )
 
     def _refuse_interruption(self) -> None:
@@ -361,8 +370,8 @@ class ScpiVoltmeter(ABC):
             self._connection = None
             raise InstrumentLost(
                 self.name,
-                "the meter was switched off and on since it was set up",
-                "check its power, then repeat this reading",
+                message("the meter was switched off and on since it was set up"),
+                message("check its power, then repeat this reading"),
             )
         if events & _ERRORS:
             self._refuse(self._errors(), "reports errors with a reading")

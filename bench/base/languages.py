@@ -123,6 +123,8 @@ _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", 
 """Three groups: the signs before a text, the text, the signs after it."""
 _SURE, _SHORT = 5, 60
 """In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
+_SENTENCE_END: Final = re.compile(r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)")
+_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])")
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 
@@ -159,7 +161,7 @@ class Entry:
                 else:
                     parts.append(f"(?P=v{part})" if part in seen else f"(?P<v{part}>.*?)")
                     seen.add(part)
-            yield text, re.compile("".join(parts), re.DOTALL)
+            yield text, re.compile("".join(parts))
 
 
 class Catalogue:
@@ -230,21 +232,27 @@ class Catalogue:
                 return told
             if lowered != text and (told := look(lowered)) is not None:
                 return told[:1].upper() + told[1:]
-        for separator in (r"\n", r"  ", r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)"):
-            if len(parts := re.split(separator, text)) > 1:
-                return re.search(separator, text)[0].join(map(self.translate, parts))  # type: ignore[index]
+        for separator in ("\n", "  "):
+            if len(parts := text.split(separator)) > 1:
+                return separator.join(map(self.translate, parts))
+        if (end := _SENTENCE_END.search(text)) is not None:  # the rest may be an entry of several sentences
+            return f"{self.translate(text[: end.start()])} {self.translate(text[end.end() :])}"
         if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
             return around[1] + self.translate(around[2], context) + around[3]
         for joint in ("; ", ": ", ", "):
             parts = text.split(joint)
             if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
                 return joined
-        return self._filled(text, sure=False) or text
+        return self._filled(text, clauses=True) or self._part(text)
 
     def _part(self, text: str) -> str:
         if is_numeric(text):
             return self.number(text) if _WORDS.search(text) else text  # a clause of a standard has no unit
-        return self._exactly(text) or self._filled(text) or self._filled(text, sure=False) or text
+        if told := self._exactly(text) or self._filled(text) or self._filled(text, sure=False):
+            return told
+        name, colon, rest = text.partition(": ")  # an instrument and its fault
+        told = self._part(rest) if colon and " " not in name else rest
+        return text if told == rest else f"{self.translate(name)}: {told}"
 
     def _settled(self, text: str) -> bool:
         """Return whether a part of a text has a translation or needs none (a single word, numbers)."""
@@ -257,15 +265,22 @@ class Catalogue:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))
         return None if entry is None else self.fill(entry, {})
 
-    def _filled(self, text: str, *, sure: bool = True) -> str | None:
+    def _filled(self, text: str, *, sure: bool = True, clauses: bool = False) -> str | None:
         """Return the translation of `text`, an entry with filled blanks; None if no entry matches.
 
         `sure` tries the entries with at least `_SURE` letters. Otherwise the shorter entries are tried, such as
-        "{0} in {1}", and their blanks match short values only.
+        "{0} in {1}", and their blanks match short values only. With `clauses`, the blanks of an entry that
+        begins with one may match several clauses or sentences.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
+                if (
+                    not clauses
+                    and entry.english.startswith("{")
+                    and any(map(_CLAUSE_END.search, values.values()))
+                ):
+                    continue
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
                     return self.fill(
                         entry, {name[1:]: self.translate(value) for name, value in values.items()}
@@ -279,7 +294,7 @@ def _letters(entry: Entry) -> int:
 
 
 _OF_SCRIPTS: Final = tuple(f"bench/{room}/" for room in ("panel", "run", "config", "results", "base"))
-_OF_PROMPTS: Final = ("drivers/", "procedures/")
+_OF_PROMPTS: Final = ("drivers/", "procedures/", "names-shown")
 
 
 def texts_for_scripts(name: str) -> str:

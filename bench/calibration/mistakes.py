@@ -208,9 +208,9 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Context in which a `SpoiledFit` becomes a `CalibrationError` that names the deviating rows.
+    """Context in which a `SpoiledFit` also names the deviating rows.
 
-    The names replace the advice of the `SpoiledFit`, which is raised unchanged if no row deviates strongly.
+    The names replace its advice; it is raised unchanged if no row deviates strongly.
     """
     try:
         yield
@@ -222,8 +222,9 @@ def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
         worst = np.argsort(-far, kind="stable")[: min(MOST_NAMED, count)]
         named = " and ".join(_row_of(rows, int(i)) for i in np.sort(worst))
         more = f" ({count} in all)" if count > MOST_NAMED else ""
-        raise CalibrationError(
-            f"{error.args[0]}; these readings are far off: {named}{more}; find the mistake with 'bench diagnose'"
+        raise SpoiledFit(
+            f"{error.args[0]}; these readings are far off: {named}{more}",
+            "find the mistake with 'bench diagnose'",
         ) from error
 
 

@@ -11,6 +11,7 @@ import typer
 from typer.main import get_command
 
 from bench.base import computing
+from bench.base.languages import speaking, translated
 from bench.base.text import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
@@ -60,24 +61,29 @@ def main(arguments: list[str] | None = None) -> None:
     `arguments` are those of `sys.argv` by default. With `--debug`, the traceback of an error is printed as well.
     """
     given = sys.argv[1:] if arguments is None else arguments
-    debug = "--debug" in given
     hushed = computing.quiet.set("--quiet" in given)
     try:
-        typed = [word for word in given if word not in ANYWHERE]
-        status = _program()(typed or ["--help"], prog_name="bench", standalone_mode=False)
-        if status == CTRL_C:
-            status = _fail(stopped_by())
-    except KeyboardInterrupt:
-        status = _fail(stopped_by())
-    except typer.Abort:
-        status = _fail("stopped")
-    except Exception as error:
-        if debug:
-            traceback.print_exc()
-        status = _fail(explain(error, _command_in(given)))
+        with speaking(None):  # --language lasts until the error is reported
+            status = _status_of(given)
     finally:
         computing.quiet.reset(hushed)
     sys.exit(status if isinstance(status, int) else DONE)
+
+
+def _status_of(given: list[str]) -> Any:
+    """Carry out the arguments and report any error; return the exit status, or what the command returned."""
+    try:
+        typed = [word for word in given if word not in ANYWHERE]
+        status = _program()(typed or ["--help"], prog_name="bench", standalone_mode=False)
+        return _fail(stopped_by()) if status == CTRL_C else status
+    except KeyboardInterrupt:
+        return _fail(stopped_by())
+    except typer.Abort:
+        return _fail("stopped")
+    except Exception as error:
+        if "--debug" in given:
+            traceback.print_exc()
+        return _fail(explain(error, _command_in(given)))
 
 
 def _command_in(given: list[str]) -> str:
@@ -101,5 +107,5 @@ def explain(error: Exception, command: str = "bench") -> str:
 
 
 def _fail(text: str) -> int:
-    print(f"bench: {visible(bounded(text))}", file=sys.stderr)
+    print(f"bench: {visible(bounded(translated(text)))}", file=sys.stderr)
     return NOT_DONE

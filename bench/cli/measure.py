@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING
 
-from bench.base.languages import message
+from bench.base.languages import message, translated
 from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
@@ -90,13 +90,13 @@ def _print_link(run: Path, out: Console, operator: str, laboratory: Path | None)
 
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
     """Make and print the results of a finished run; return the exit status."""
-    from bench.services.conclusion import ending, make_results
+    from bench.services.conclusion import NOTE, ending, make_results
 
     found = make_results(run, interrupts)
     verdict, *others = ending(found)
     out.print(verdict, style="bold")
     for line in others:
-        out.print(line)
+        out.print(translated(line) if line.startswith(NOTE) else line)
     if found.chart_unwritten:
         printing.notes_aside([f"{found.chart_unwritten} was not written; 'bench chart --page FILE' draws it"])
     printing.write_json([found.to_dict()], json)

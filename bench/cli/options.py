@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, get_args, get_origin, get_type_hints
 
 import typer
 
-from bench.base.languages import LANGUAGES, known_language, speaking
+from bench.base.languages import LANGUAGES, known_language, speak
 from bench.base.requests import NOT_GIVEN, RequestField, fields_of
 from bench.cli import completing
 from bench.cli.commands import COMMANDS, KNOWN, MORE, BenchCommand, CommandGroup, Commands
@@ -51,7 +51,7 @@ def _use_language(ctx: typer.Context, name: str | None) -> None:
     if not ctx.resilient_parsing and name is not None:
         if not known_language(name):
             raise typer.BadParameter(f"choose one of {', '.join(LANGUAGES)}")
-        ctx.with_resource(speaking(name))
+        speak(name)
 
 
 def _own_option(name: str, metavar: str, words: str, use: Callable[..., None], of: Any) -> inspect.Parameter:

@@ -236,7 +236,7 @@ class EarlyWarning:
             sat_before=self._sat_before(conditions.mounts[0].installation, new_mount),
             last_rad=None if new_mount or before is None else before.angle_rad,
             pivot_rad=None if new_mount else self._pivot_rad(),
-            next_rad=self._following.get(reading.place),
+            next_rad=self._next_rad(reading.place),
             reading_place=reading.place,
         )
         self._places[reading.place] = sighting
@@ -253,6 +253,15 @@ class EarlyWarning:
         if not new_mount or last.installation == label:
             return last.sat_before
         return last.installation
+
+    def _next_rad(self, place: Place) -> float | None:
+        """Return the angle, rad, planned after the reading at `place`; None if no point follows on its mounting.
+
+        After a remounting the series exceeds every planned one; the last planned series then counts.
+        """
+        series, *point = place
+        planned = (self._following.get((earlier, *point)) for earlier in range(series, 0, -1))  # type: ignore[arg-type]
+        return next((angle for angle in planned if angle is not None), None)
 
     def _pivot_rad(self) -> float | None:
         """Return the head angle, rad, of the last reading on the present mounting that fitted; None without one."""

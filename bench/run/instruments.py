@@ -240,9 +240,9 @@ def leave_safe(
 
 def _standby(chamber: ThermalChamber, demanded_c: float | None) -> str:
     by_hand = (
-        "could not be put into standby: if it still runs, switch it off by hand"
+        message("could not be put into standby: if it still runs, switch it off by hand")
         if demanded_c is None
-        else f"is still conditioning at {demanded_c:g} °C: switch it off by hand"
+        else message(f"is still conditioning at {demanded_c:g} °C: switch it off by hand")
     )
     attempts = Attempts()
     attempts.make(by_hand, chamber.make_safe)

@@ -30,7 +30,7 @@ from bench.run.person import (
 from bench.run.record import Record
 from bench.run.terminal import TerminalPerson, heard_at
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import NoAnswer
+from drivers.interfaces import NoAnswer, message
 from drivers.person import Answer, AnsweredByInstrument, Prompt
 
 GAP_S: Final = 30.0
@@ -207,7 +207,7 @@ class Asker:
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
-            self._refuse(given, "the answer was typed before this question appeared; answer again")
+            self._refuse(given, message("the answer was typed before this question appeared; answer again"))
         if problem := problem_with_answer(prompt, text):
             self._refuse(given, problem)
             self._refused = prompt.id.rpartition("#")[0]
@@ -248,7 +248,7 @@ class Asker:
             raise raised(control)
         refusal = {
             "wish": control.wish.value,
-            "why": "this question does not accept it",
+            "why": message("this question does not accept it"),
             **control.who.to_json(),
         }
         self._tell(EventType.WISH_REFUSED, refusal)
@@ -259,11 +259,12 @@ class Asker:
         if left.flaw:
             return left.flaw
         if left.id == self._answered:
-            by = f" by {self.answered_by.by}" if self.answered_by.by else ""
-            return f"the question was answered already{by}"
+            by = self.answered_by.by
+            already = message("the question was answered already")
+            return message(f"the question was answered already by {by}") if by else already
         if self._prompt is None:
-            return "no question is open"
-        return "" if left.id == self._id else "it answers another question than the open one"
+            return message("no question is open")
+        return "" if left.id == self._id else message("it answers another question than the open one")
 
     def _take(self, given: LeftAnswer, prompt: Prompt) -> None:
         self.answered_by, self._answered = given.who, given.id

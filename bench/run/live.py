@@ -168,7 +168,7 @@ class LiveSignals:
             self._tell(LiveValue(self._prompt.id, utc_now().isoformat(), why="no valid signal (overload?)"))
             return
         except BenchError as error:
-            self._silent = f"{error.instrument} cannot be read now; the next reading tries again"
+            self._silent = message(f"{error.instrument} cannot be read now; the next reading tries again")
             return
         self._tell(self._value(self._prompt.id, now_s, signals))
 

@@ -195,9 +195,9 @@ def parse_wish(text: str) -> RunControl:
         wish = Wish(word.lower())
     except ValueError:
         known = ", ".join(f"{SIGN}{w.value}" for w in Wish)
-        raise ValueError(f"{SIGN}{word} is unknown; type one of {known}") from None
+        raise ValueError(message(f"there is no command {SIGN}{word}; type one of {known}")) from None
     if wish is Wish.SKIP and not reason.strip():
-        raise ValueError(f"a skip needs a reason; type {SIGN}skip REASON")
+        raise ValueError(message(f"a skip needs a reason; type {SIGN}skip REASON"))
     return RunControl(wish, reason.strip(), by_person=True)
 
 

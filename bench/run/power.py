@@ -133,8 +133,8 @@ class UnitPower:
         if ask(self.person, prompt) != SET_AGAIN:
             raise BenchError(
                 self.supply.name,
-                f"it is on with other settings than the bench file states: {otherwise}",
-                "correct its settings or the bench file, then start again",
+                message(f"it is on with other settings than the bench file states: {otherwise}"),
+                message("correct its settings or the bench file, then start again"),
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:
@@ -191,12 +191,16 @@ class UnitPower:
         for number, rail in enumerate(() if self.supply.asks_person else reversed(self.section.rails)):
             if number:
                 self.clock.sleep(self.section.pause)
-            by_hand = f"its rail {rail.name} did not switch off by itself: find the cause before the next run"
+            by_hand = message(
+                f"its rail {rail.name} did not switch off by itself: find the cause before the next run"
+            )
             rails.make(by_hand, partial(self.supply.switch, rail.output, False, key))
         remedy = rails.end()
         if remedy or self.supply.asks_person:
             whole = Attempts()
-            whole.make("could not switch the block off: switch it off by hand", self.supply.switch_all_off)
+            whole.make(
+                message("could not switch the block off: switch it off by hand"), self.supply.switch_all_off
+            )
             if to_do := whole.end():
                 return to_do
         self.on, self.off_since_s = False, self.now_s()
@@ -316,7 +320,9 @@ class UnitPower:
         if rail.output not in states:
             has = ", ".join(states)
             raise InstrumentRefused(
-                self.supply.name, f"it has no output {rail.output} (it has {has})", "correct the bench file"
+                self.supply.name,
+                message(f"it has no output {rail.output} (it has {has})"),
+                message("correct the bench file"),
             )
         return states[rail.output]
 

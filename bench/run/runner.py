@@ -50,7 +50,7 @@ from bench.run.resume import (
 from bench.run.samples import Settling
 from bench.run.workbench import BenchSetup, Workbench
 from drivers.clock import Clock, SystemClock
-from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused
+from drivers.interfaces import BadReading, InstrumentLost, InstrumentRefused, message
 from drivers.person import Person
 
 Observer = Callable[[Event], None]
@@ -316,7 +316,7 @@ class Runner:
                 if wish.control.wish is Wish.ABORT:
                     raise self._aborted(wish.control) from None
                 if wish.control.wish is not Wish.PAUSE:
-                    self._refuse(wish.control, 0, "no step is running yet")
+                    self._refuse(wish.control, 0, message("no step is running yet"))
 
     # --- wishes --------------------------------------------------------------------------------------
 
@@ -346,11 +346,11 @@ class Runner:
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
                 return self._redo(control, index)
             case Wish.SKIP if self.progress.doubt is not None:
-                return self._refuse(control, index, "first answer the question about the reading in doubt")
+                first = message("first answer the question about the reading in doubt")
+                return self._refuse(control, index, first)
             case Wish.SKIP if isinstance(self.plan.steps[index], Mount):
-                return self._refuse(
-                    control, index, "the block must be mounted before the readings that follow"
-                )
+                needed = message("the block must be mounted before the readings that follow")
+                return self._refuse(control, index, needed)
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())
@@ -395,7 +395,7 @@ class Runner:
         """Repeat the last point, or its whole pass, from its first turn; return the step to continue with."""
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
-            return self._refuse(control, index, "no point was measured since the block was mounted")
+            return self._refuse(control, index, message("no point was measured since the block was mounted"))
         request = {"wish": control.wish.value, **control.who.to_json()}
         self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:

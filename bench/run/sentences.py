@@ -55,16 +55,17 @@ def sentence(event: Event) -> str:
         case EventType.CHOSEN:
             return chosen_in_words(data)
         case EventType.LEFT_SAFE:
-            tasks = "; ".join(f"{name}: {what}" for name, what in data["to_do"].items())
-            return message(f"still to do: {tasks}")
+            tasks = (message(f"still to do: {name}: {what}") for name, what in data["to_do"].items())
+            return "\n".join(tasks)
     return _of_somebody(event) or event.type
 
 
 def said(event: Event) -> str:
     """Return a sentence on a recorded answer: the answer, its author and place."""
-    by = _by(event.data) or (f" by {event.data['by']}" if event.data.get("by") else "")
+    by, who = _by(event.data), event.data.get("by")
     if event.type == EventType.ANSWERED:
-        return f"answered{by}: {event.data['answer']}"
+        answer = event.data["answer"]
+        return message(f"{who} answered: {answer}") if who and not by else message(f"answered{by}: {answer}")
     return message(f"an answer{by} is not accepted: {event.data['why']}")
 
 
@@ -230,7 +231,7 @@ def in_words(event: Event, plan: Plan) -> str:
         return said(event)
     if event.type != EventType.STEP_DONE:
         why = event.data.get("error") or event.data.get("reason")
-        return f"{event.type}: {why}" if why else sentence(event)
+        return f"{event.type}: {why}" if why else sentence(event).replace("\n", "; ")
     text = plan.steps[event.step].describe()
     match event.result:
         case Reading(mean=mean, unit=unit):

@@ -263,7 +263,7 @@ class TerminalPerson:
         if line.strip() == HELP:
             return typing_help(prompt, wishes)
         if not wishes:
-            return message("this question accepts no command; answer it, or press Ctrl-C")
+            return translated(message("this question accepts no command; answer it, or press Ctrl-C"))
         try:
             wish = replace(parse_wish(line), who=self.who)
         except ValueError as mistake:
@@ -280,7 +280,7 @@ class TerminalPerson:
         self._has_live_line = self.by_hand and self._console.is_terminal
         if self._has_live_line:
             self._console.print()  # leave the line with the live signals
-        self._say(f"  [{translated(self._hint(prompt))}] ", end="")
+        self._say(f"  [{self._hint(prompt)}] ", end="")
         line = self._reader.read(self.meanwhile, self.slice_s)
         if line and not self._answers.isatty():
             self._console.print(Text(line.rstrip()))  # echo the line as a terminal does for typed input
@@ -298,9 +298,14 @@ class TerminalPerson:
 
     @staticmethod
     def _hint(prompt: Prompt) -> str:
-        hint = HINTS.get(prompt.kind, prompt.unit) if not prompt.choices else ", ".join(prompt.choices)
+        hints = prompt.choices or (HINTS.get(prompt.kind, prompt.unit),)
         default = message(f"Enter = {prompt.default}") if prompt.default is not None else ""
-        return "; ".join(part for part in (hint, default, message(f"{HELP} = help")) if part)
+        parts = (
+            ", ".join(map(translated, hints)),
+            translated(default),
+            translated(message(f"{HELP} = help")),
+        )
+        return "; ".join(filter(None, parts))
 
 
 def _forget_typed_ahead(answers: TextIO) -> None:

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.corrected import MistakeName
@@ -196,18 +197,20 @@ def told_in_words(run: Run) -> list[str]:
     signs, overruled = run.history.not_repaired()
     named = Counter(event.data["causes"][0] for event in signs if event.data["causes"])
     lines = [
-        f"early warning at {times} reading{'s' if times > 1 else ''}: {cause}"
+        message(f"early warning at {times} reading{'' if times == 1 else 's'}: {cause}")
         for cause, times in named.most_common(MOST_TOLD)
     ]
-    lines += [f"… and {more} other causes"] if (more := len(named) - len(lines)) > 0 else []
+    if (more := len(named) - len(lines)) > 0:
+        lines.append(message(f"early warning: {more} more cause{'' if more == 1 else 's'}"))
     lines += [sentence(event) for event in overruled]
     if lines:
-        lines.append(f"'bench diagnose {as_typed(run.name)}' uses these causes")
+        lines.append(message(f"'bench diagnose {as_typed(run.name)}' uses these causes"))
     repaired = run.history.progress.signs - len(signs)
     if repaired:
         lines.append(
-            f"early warning at {repaired} reading{'s' if repaired > 1 else ''} that "
-            f"{'were' if repaired > 1 else 'was'} repeated"
+            message(
+                f"early warning at {repaired} reading{' that was' if repaired == 1 else 's that were'} repeated"
+            )
         )
     return lines
 

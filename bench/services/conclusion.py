@@ -11,10 +11,12 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from bench.base.computing import quiet, versions
 from bench.base.files import read_given, read_regular, to_text, write_whole
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import Statement
+from bench.calibration.result import SpoiledFit
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.readings.csv import format_csv, read_csv
 from bench.results.calibration import fit_in_a_line
@@ -45,7 +47,8 @@ class Conclusion:
     """The results of a finished run; a missing result is None.
 
     `looks` are sentences on early warnings. `short` is true if the run ended without reaching its goals.
-    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart. Only a run of the check
+    `no_calibration` and `no_chart` are the reasons for a missing calibration or chart. `spoiled` is true if wrong
+    readings, not the procedure, are the reason for a missing calibration. Only a run of the check
     block can have a chart or `no_chart`. `chart_unwritten` is the chart's file, if unwritten, and the reason.
     """
 
@@ -57,18 +60,19 @@ class Conclusion:
     verification: VerificationResult | None = None
     report: Path | None = None
     no_calibration: str = ""
+    spoiled: bool = False
     chart: CheckBlockChart | None = None
     no_chart: str = ""
     chart_unwritten: str = ""
 
     @property
     def accepted(self) -> bool:
-        """Whether the run reached its goal, and fit, verdict and chart (as far as present) are accepted."""
+        """Whether the run reached its goal unspoiled, and fit, verdict and chart (if present) are accepted."""
         judged = (
             self.calibration and self.calibration.accepted,
             self.verification and self.verification.passed,
         )
-        return not self.short and all(
+        return not (self.short or self.spoiled) and all(
             one is not False for one in (*judged, self.chart and self.chart.accepted)
         )
 
@@ -132,7 +136,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
     try:
         result = calibration_of(source)
     except CalibrationError as reason:
-        return {"no_calibration": str(reason)}
+        return {"no_calibration": str(reason), "spoiled": isinstance(reason, SpoiledFit)}
     write_whole(source.output("calibrate", ".json"), to_text(result.to_dict()))
     page, verdict = report_page(result)
     file = source.output("report", ".html")
@@ -172,6 +176,7 @@ def charted(run: Run) -> dict[str, Any]:
 MOST_LINES: Final = 15
 """Largest number of lines of an ending."""
 _MOST_SENTENCES: Final = 2
+NOTE: Final = message("note")
 
 
 def ending(found: Conclusion) -> list[str]:
@@ -185,7 +190,7 @@ def ending(found: Conclusion) -> list[str]:
         lines.append(f"check block: no control chart: {found.no_chart}")
     lines += _shortened(
         [
-            f"note: {look}"
+            f"{NOTE}: {look}"
             for look in (*(found.calibration.doubts if found.calibration else ()), *found.looks)
         ],
         f"bench diagnose {name_to_type(found.run.folder)}",
@@ -224,7 +229,7 @@ def _shortened(lines: list[str], elsewhere: str) -> list[str]:
     return (
         lines
         if rest <= 1
-        else [*lines[:_MOST_SENTENCES], f"note: {rest} more notes; '{elsewhere}' explains them"]
+        else [*lines[:_MOST_SENTENCES], message(f"note: {rest} more notes; '{elsewhere}' explains them")]
     )
 
 
@@ -245,7 +250,7 @@ def _next(found: Conclusion) -> Iterator[str]:
     again = _run_again(run)
     verification = found.verification
     if found.calibration is None:
-        yield f"next: bench show {name}"
+        yield f"next: bench {'diagnose' if found.spoiled or found.looks else 'show'} {name}"
     elif (
         not found.calibration.accepted
         or found.calibration.doubts

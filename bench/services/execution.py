@@ -491,12 +491,13 @@ def _recorded(record: Record) -> str:
         done = len(read_history(place).readings)
     except RecordError as error:
         return str(error)
-    return f"{'1 reading is' if done == 1 else f'{done} readings are'} kept in {place}"
+    return message(f"{done} reading{' is' if done == 1 else 's are'} kept in {place}")
 
 
 def _kept(record: Record) -> str:
     place = record.whereabouts() or record.folder
-    return f"{_recorded(record)}; resume with 'bench resume {name_to_type(place)}'"
+    resume = message(f"resume with 'bench resume {name_to_type(place)}'")
+    return f"{_recorded(record)}; {resume}"
 
 
 # --- runs that another program has left -------------------------------------------------------------

@@ -12,7 +12,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import acutrol as facts
-from drivers.interfaces import Identity, InstrumentRefused
+from drivers.interfaces import Identity, InstrumentRefused, message
 from drivers.making_safe import SEE_IT_STANDS, Attempts
 from drivers.motion import MotorisedHead, Travel
 
@@ -68,9 +68,9 @@ class AcutrolHead(MotorisedHead):
 
     def _release(self, attempts: Attempts) -> None:
         """Switch the axis off and open the interlock, after the table was set to rate 0."""
-        attempts.make("switch its axis off at the controller", self._switch_off)
+        attempts.make(message("switch its axis off at the controller"), self._switch_off)
         attempts.make(
-            "open its interlock at the controller",
+            message("open its interlock at the controller"),
             partial(self._tell, f":interlock:open {self._axis}", urgent=True),
         )
 
@@ -110,7 +110,7 @@ class AcutrolHead(MotorisedHead):
         if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
             attempts.make("", self._switch_off)
         attempts.refuse_failed(
-            self.name, "it did not take rate 0 and its axis was commanded off", SEE_IT_STANDS
+            self.name, message("it did not take rate 0 and its axis was commanded off"), SEE_IT_STANDS
         )
 
     # --- messages -----------------------------------------------------------------------------------
@@ -156,8 +156,8 @@ class AcutrolHead(MotorisedHead):
         if answer.upper() != "OK":
             raise InstrumentRefused(
                 self.name,
-                f"the controller answers {command} with {answer!r}, not OK",
-                "check the interlock, the emergency stop and the controller's own display",
+                message(f"the controller answers {command} with {answer!r}, not OK"),
+                message("check the interlock, the emergency stop and the controller's own display"),
             )
 
 

@@ -111,7 +111,9 @@ class ManualHead(ByHand):
             return ask_until(self._person, question, read, self._max_attempts)
         except ValueError as trouble:
             raise BadReading(
-                self.name, f"no angle in {self._max_attempts} attempts ({trouble})", "read its scale again"
+                self.name,
+                message(f"no angle in {self._max_attempts} attempts ({trouble})"),
+                message("read its scale again"),
             ) from None
 
     def _turned(
@@ -149,9 +151,11 @@ class ManualHead(ByHand):
         except ValueError as trouble:
             raise LimitExceeded(
                 self.name,
-                f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
-                f"in {self._max_attempts} attempts ({trouble})",
-                "check the clamp, the scale and the procedure's angle, then redo this point",
+                message(
+                    f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
+                    f"in {self._max_attempts} attempts ({trouble})"
+                ),
+                message("check the clamp, the scale and the procedure's angle, then redo this point"),
             ) from None
         return HeadPosition(angle_rad, direction)
 
@@ -233,8 +237,10 @@ class ManualLevel(ByHand):
         except ValueError as trouble:
             raise BadReading(
                 self.name,
-                f"no reading on its scale in {ATTEMPTS} attempts ({trouble})",
-                "level the platform roughly, check the divisions in the bench file, then repeat this step",
+                message(f"no reading on its scale in {ATTEMPTS} attempts ({trouble})"),
+                message(
+                    "level the platform roughly, check the divisions in the bench file, then repeat this step"
+                ),
             ) from None
 
 
@@ -307,8 +313,9 @@ class ManualChamber(ByHand):
         """Ask nobody; return what a person must do, or an empty string if no temperature was set."""
         if not self._set:
             return ""
-        safe = "off" if self._safe_c is None else f"to {self._safe_c:g} °C"
-        return f"set the chamber {safe} by hand"
+        if self._safe_c is None:
+            return message("switch the chamber off by hand")
+        return message(f"set the chamber to {self._safe_c:g} °C by hand")
 
     def set_temperature(self, target_c: float, key: str) -> None:
         """Ask the person to set `target_c` and to confirm; the answer "no" repeats the question.
@@ -319,8 +326,8 @@ class ManualChamber(ByHand):
         if not self._minimum_c <= target_c <= self._maximum_c:
             raise LimitExceeded(
                 self.name,
-                f"{target_c:g} °C is outside {self._minimum_c:g} to {self._maximum_c:g} °C",
-                "change the temperature in the procedure or the limits in the bench file",
+                message(f"{target_c:g} °C is outside {self._minimum_c:g} to {self._maximum_c:g} °C"),
+                message("change the temperature in the procedure or the limits in the bench file"),
             )
         self._set = True
         left = ATTEMPTS
@@ -341,8 +348,8 @@ class ManualChamber(ByHand):
                 break
         raise InstrumentRefused(
             self.name,
-            f"nobody confirmed that the chamber is set to {target_c:g} °C",
-            "set it and take this step again",
+            message(f"nobody confirmed that the chamber is set to {target_c:g} °C"),
+            message("set it and take this step again"),
         )
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
@@ -363,8 +370,10 @@ class ManualChamber(ByHand):
             return found_c
         raise BadReading(
             self.name,
-            f"no plausible temperature in {ATTEMPTS} attempts",
-            "check the thermometer and the chamber's limits in the bench file, then repeat this step",
+            message(f"no plausible temperature in {ATTEMPTS} attempts"),
+            message(
+                "check the thermometer and the chamber's limits in the bench file, then repeat this step"
+            ),
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
@@ -428,6 +437,6 @@ class ManualThermometer(ByHand):
             return found_c
         raise BadReading(
             self.name,
-            f"no temperature within its range in {ATTEMPTS} attempts",
-            "check the thermometer and its range in the bench file, then repeat this step",
+            message(f"no temperature within its range in {ATTEMPTS} attempts"),
+            message("check the thermometer and its range in the bench file, then repeat this step"),
         )

@@ -15,6 +15,7 @@ from drivers.interfaces import (
     OutputState,
     SetOtherwise,
     SupplyLimits,
+    message,
 )
 from drivers.person import ATTEMPTS, Prompt, PromptKind
 
@@ -123,7 +124,7 @@ class ManualSupply(ByHand):
     def switch_all_off(self) -> str:
         """Ask nobody; return what a person must do, or an empty string if no output can be on."""
         on = [output for output, is_on in self._on.items() if is_on]
-        return f"switch its output {' and '.join(on)} off by hand" if on else ""
+        return message(f"switch its output {' and '.join(on)} off by hand") if on else ""
 
     # --- questions ----------------------------------------------------------------------------------
 

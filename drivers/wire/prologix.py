@@ -23,6 +23,7 @@ from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
 from drivers.clock import Clock, SystemClock
+from drivers.interfaces import message
 from drivers.wire.pyvisa_connection import Connection, SerialSettings, WireError
 
 SCHEME: Final = "prologix:"
@@ -136,7 +137,10 @@ class AdapterConnection:
     @contextlib.contextmanager
     def _talking(self) -> Iterator[Connection]:
         if self._interrupted.is_set():
-            raise WireError("was closed while it was in use", "open the instrument and repeat this step")
+            raise WireError(
+                message("{0} was closed while it was in use"),
+                message("open the instrument and repeat this step"),
+            )
         with self._adapter.talking(self._link_number) as link:
             yield link
 
@@ -186,11 +190,15 @@ class _Adapter:
         with self._lock:
             if self._link is None or not self.has_link(link_number):
                 raise WireError(
-                    "lost the adapter's connection", "check that the adapter is on, then repeat this step"
+                    message("{0} lost the adapter's connection"),
+                    message("check that the adapter is on, then repeat this step"),
                 )
             try:
                 if not _is_quiet(self._link):
-                    raise WireError("broke the connection", "check that no other program uses the adapter")
+                    raise WireError(
+                        message("{0} broke the connection"),
+                        message("check that no other program uses the adapter"),
+                    )
                 yield self._link
             except BaseException:
                 self._drop()
@@ -219,8 +227,10 @@ class _Adapter:
                 answer = self._line(link, re.compile(rb"\d+")).decode()
                 if answer != value:
                     raise WireError(
-                        f"answers {answer} to ++{name}, not {value}, as a GPIB adapter",
-                        "check that it is a Prologix or compatible adapter, with its latest firmware",
+                        f"{{0}} answers {answer} to ++{name}, not {value}, as a GPIB adapter",
+                        message(
+                            "check that it is a Prologix or compatible adapter, with its latest firmware"
+                        ),
                     )
         except BaseException:
             link.close()
@@ -253,11 +263,15 @@ class _Adapter:
             return link.take_message(remaining_s).replace(_NUL, b"")
         if not link.wait(remaining_s):
             raise WireError(
-                "did not answer as a GPIB adapter", "check the adapter's power, its address and the cable"
+                message("{0} did not answer as a GPIB adapter"),
+                message("check the adapter's power, its address and the cable"),
             )
         chunk = link.take_all()
         if not chunk:
-            raise WireError("broke the connection", "check that the adapter is on, then repeat this step")
+            raise WireError(
+                message("{0} broke the connection"),
+                message("check that the adapter is on, then repeat this step"),
+            )
         return chunk.replace(_NUL, b"")
 
     def _drop(self) -> None:
@@ -296,7 +310,7 @@ def parse(resource: str) -> tuple[str, int]:
     match = _RESOURCE.fullmatch(resource)
     if match is None or int(match["address"]) > _HIGHEST_ADDRESS:
         raise WireError(
-            "is not a valid address",
+            message("{0} is not a valid address"),
             "write it like prologix://192.0.2.10:1234/22 or prologix:///dev/ttyUSB0/22, "
             f"with a GPIB address of 0 to {_HIGHEST_ADDRESS}",
         )

@@ -32,39 +32,58 @@ from pyvisa.resources import (
 )
 
 from drivers.clock import Clock, SystemClock
+from drivers.interfaces import message
 
 # --- causes of transport exceptions -----------------------------------------------------------------
 
 Cause = tuple[str, str]
-"""The cause of a failure and its remedy, as texts."""
+"""The cause of a failure and its remedy, as texts; `{0}` in the cause stands for the resource."""
 
 _PORT_GONE: Final = (
-    "was lost: the port failed",
-    "check that the serial adapter is plugged in and start again",
+    message("{0} was lost: the port failed"),
+    message("check that the serial adapter is plugged in and start again"),
 )
-_CLOSED_IN_USE: Final = ("was closed while it was in use", "open the instrument and take this step again")
-_CHECK_POWER: Final = "check its power and its cable, then start again"
+_CLOSED_IN_USE: Final = (
+    message("{0} was closed while it was in use"),
+    message("open the instrument and take this step again"),
+)
+_CHECK_POWER: Final = message("check its power and its cable, then start again")
 
 _BY_ERRNO: Final[dict[int, Cause]] = {
     errno.ECONNREFUSED: (
-        "refused the connection",
-        "check that the instrument is on and that address and port in the bench file are right",
+        message("{0} refused the connection"),
+        message("check that the instrument is on and that address and port in the bench file are right"),
     ),
-    errno.EHOSTUNREACH: ("cannot be reached", "check the network cable and the address in the bench file"),
-    errno.ENETUNREACH: ("cannot be reached", "check the network cable and the address in the bench file"),
-    errno.ETIMEDOUT: ("cannot be reached", "check the network cable and the address in the bench file"),
-    errno.ECONNRESET: ("broke the connection", _CHECK_POWER),
-    errno.ECONNABORTED: ("broke the connection", _CHECK_POWER),
-    errno.EPIPE: ("broke the connection", _CHECK_POWER),
+    errno.EHOSTUNREACH: (
+        message("{0} cannot be reached"),
+        message("check the network cable and the address in the bench file"),
+    ),
+    errno.ENETUNREACH: (
+        message("{0} cannot be reached"),
+        message("check the network cable and the address in the bench file"),
+    ),
+    errno.ETIMEDOUT: (
+        message("{0} cannot be reached"),
+        message("check the network cable and the address in the bench file"),
+    ),
+    errno.ECONNRESET: (message("{0} broke the connection"), _CHECK_POWER),
+    errno.ECONNABORTED: (message("{0} broke the connection"), _CHECK_POWER),
+    errno.EPIPE: (message("{0} broke the connection"), _CHECK_POWER),
     errno.ENOENT: (
-        "does not exist on this computer",
-        "plug the serial adapter in, and check the port's name in the bench file",
+        message("{0} does not exist on this computer"),
+        message("plug the serial adapter in, and check the port's name in the bench file"),
     ),
     errno.EACCES: (
-        "may not be opened by this user",
-        "give the user access (on Linux: the group dialout for serial ports, a udev rule for USB) and log in again",
+        message("{0} may not be opened by this user"),
+        message(
+            "give the user access (on Linux: the group dialout for serial ports, a udev rule for USB) "
+            "and log in again"
+        ),
     ),
-    errno.EBUSY: ("is in use by another program", "close the other program and start again"),
+    errno.EBUSY: (
+        message("{0} is in use by another program"),
+        message("close the other program and start again"),
+    ),
     errno.EBADF: _CLOSED_IN_USE,
     errno.EIO: _PORT_GONE,
     errno.ENXIO: _PORT_GONE,
@@ -72,50 +91,55 @@ _BY_ERRNO: Final[dict[int, Cause]] = {
 }
 
 _BY_STATUS: Final[dict[int, Cause]] = {
-    StatusCode.error_timeout: ("did not respond in time", _CHECK_POWER),
-    StatusCode.error_connection_lost: ("broke the connection", _CHECK_POWER),
+    StatusCode.error_timeout: (message("{0} did not respond in time"), _CHECK_POWER),
+    StatusCode.error_connection_lost: (message("{0} broke the connection"), _CHECK_POWER),
     StatusCode.error_resource_not_found: (
-        "was not found",
-        "check that the instrument is on and its address in the bench file is right",
+        message("{0} was not found"),
+        message("check that the instrument is on and its address in the bench file is right"),
     ),
     StatusCode.error_invalid_resource_name: (
-        "is not a valid address",
-        "write it like TCPIP::192.0.2.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR",
+        message("{0} is not a valid address"),
+        message("write it like TCPIP::192.0.2.5::5025::SOCKET, GPIB0::22::INSTR or ASRL/dev/ttyUSB0::INSTR"),
     ),
     StatusCode.error_resource_locked: (
-        "is locked by another program or computer",
-        "end the program that uses it, or wait for it",
+        message("{0} is locked by another program or computer"),
+        message("end the program that uses it, or wait for it"),
     ),
     StatusCode.error_no_listeners: (
-        "has no listener on the GPIB bus",
-        "check the instrument's GPIB address, its power and the cable",
+        message("{0} has no listener on the GPIB bus"),
+        message("check the instrument's GPIB address, its power and the cable"),
     ),
 }
 
 _BY_LIBRARY: Final[dict[str, Cause]] = {
     "gpib": (
-        "needs a GPIB library, which this computer lacks",
-        "install linux-gpib or gpib-ctypes, or connect the instrument by LAN or RS-232",
+        message("{0} needs a GPIB library, which this computer lacks"),
+        message("install linux-gpib or gpib-ctypes, or connect the instrument by LAN or RS-232"),
     ),
-    "pyusb": ("needs pyusb, which this computer lacks", "install pyusb, or connect by LAN or RS-232"),
+    "pyusb": (
+        message("{0} needs pyusb, which this computer lacks"),
+        message("install pyusb, or connect by LAN or RS-232"),
+    ),
     "no backend available": (
-        "needs the library libusb, which this computer lacks",
-        "install libusb 1.0, or connect by LAN or RS-232",
+        message("{0} needs the library libusb, which this computer lacks"),
+        message("install libusb 1.0, or connect by LAN or RS-232"),
     ),
 }
 
 _BY_CLASS: Final[dict[str, Cause]] = {  # by name: termios cannot be imported where there are no terminals
     "termios.error": (
-        "does not accept these serial settings",
-        "use a real serial port, or 8 data bits without parity on the instrument and in the bench file",
+        message("{0} does not accept these serial settings"),
+        message(
+            "use a real serial port, or 8 data bits without parity on the instrument and in the bench file"
+        ),
     ),
     "serial.serialutil.SerialException": _PORT_GONE,
     "pyvisa.errors.InvalidSession": _CLOSED_IN_USE,
 }
 
 _UNKNOWN_HOST: Final = (
-    "names an unknown host",
-    "check the host name in the bench file, or write the numerical address",
+    message("{0} names an unknown host"),
+    message("check the host name in the bench file, or write the numerical address"),
 )
 
 
@@ -131,7 +155,7 @@ class WireError(Exception):
 def probable_cause(error: BaseException) -> Cause:
     """Return (what happened, what to do) for an exception from pyvisa, pyvisa-py, pyserial or a socket.
 
-    The first text continues a sentence that begins with the resource. pyvisa-py wraps some causes in a
+    In the first text, `{0}` stands for the resource. pyvisa-py wraps some causes in a
     plain `Exception`, so the chain of causes is searched, too.
     """
     for link in _chain(error):
@@ -139,7 +163,7 @@ def probable_cause(error: BaseException) -> Cause:
         if cause is not None:
             return cause
     first_line = (str(error).splitlines() or [""])[0] or "no details"
-    return f"failed with {type(error).__name__} ({first_line})", _CHECK_POWER
+    return f"{{0}} failed with {type(error).__name__} ({first_line})", _CHECK_POWER
 
 
 def _known(error: BaseException) -> Cause | None:

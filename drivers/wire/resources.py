@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from pyvisa.rname import InvalidResourceName, ResourceName
 
 from drivers.clock import utc_now
-from drivers.interfaces import InstrumentRefused
+from drivers.interfaces import InstrumentRefused, message
 
 # --- discovery --------------------------------------------------------------------------------------
 # As of pyvisa-py 0.8.1 a search takes some two seconds, waiting for replies from the network. It needs optional
@@ -220,7 +220,9 @@ class Holding:
             holder = f"{told['who']} since {told['since']}"
         except (OSError, ValueError, KeyError, TypeError):
             holder = "another program"  # it has not yet written its name
-        return InstrumentRefused(name, f"{resource} is in use by {holder}", "end that program or wait for it")
+        return InstrumentRefused(
+            name, message(f"{resource} is in use by {holder}"), message("end that program or wait for it")
+        )
 
 
 def _who() -> str:

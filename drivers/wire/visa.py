@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final, TypeVar
 
 from drivers.clock import Clock, Haste, SystemClock
-from drivers.interfaces import BadReading, BenchError, Identity, InstrumentLost
+from drivers.interfaces import BadReading, BenchError, Identity, InstrumentLost, message
 from drivers.wire.prologix import SCHEME, AdapterConnection
 from drivers.wire.pyvisa_connection import Connection, SerialSettings, probable_cause
 from drivers.wire.resources import Holding
@@ -42,8 +42,8 @@ AFTER_SENDING: Final = "after sending"
 
 _MAX_REPLY_BYTES: Final = 1 << 20
 _SLICE_S: Final = 0.5
-_RESTART: Final = "switch the instrument off and on and start again"
-_RESTART_ADAPTER: Final = "switch the GPIB adapter off and on and start again"
+_RESTART: Final = message("switch the instrument off and on and start again")
+_RESTART_ADAPTER: Final = message("switch the GPIB adapter off and on and start again")
 
 
 class MessageSession:
@@ -166,8 +166,8 @@ class MessageSession:
         if not fits:
             raise BadReading(
                 self.name,
-                f"the reply to {command} is {_shown(reply)}, not {expected}",
-                "try again; if the fault returns, check cable and terminations",
+                message(f"the reply to {command} is {_shown(reply)}, not {expected}"),
+                message("try again, and if the fault returns, check cable and terminations"),
             )
         return reply
 
@@ -177,7 +177,9 @@ class MessageSession:
         with self._lock:
             if not self._wanted:
                 raise InstrumentLost(
-                    self.name, f"{self.resource} is not open, {command} was not sent", "open it first"
+                    self.name,
+                    f"{self.resource} is not open, {command} was not sent",
+                    "open it first",
                 )
             connection = self._connected()
             when = BEFORE_SENDING
@@ -238,10 +240,10 @@ class MessageSession:
                 connection.close()
         if not quiet and isinstance(connection, AdapterConnection):
             raise InstrumentLost(
-                self.name, f"the adapter of {self.resource} accepts nothing", _RESTART_ADAPTER
+                self.name, message(f"the adapter of {self.resource} accepts nothing"), _RESTART_ADAPTER
             )
         if not quiet:
-            raise InstrumentLost(self.name, f"{self.resource} keeps sending", _RESTART)
+            raise InstrumentLost(self.name, message(f"{self.resource} keeps sending"), _RESTART)
 
     def _give_up(self) -> None:
         self._desynchronised = True
@@ -256,7 +258,7 @@ class MessageSession:
         """Log a failure with its phase `when`; return it, or for a foreign `Exception` an `InstrumentLost`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
-            error = InstrumentLost(self.name, f"{self.resource} {cause}{at}", remedy)
+            error = InstrumentLost(self.name, f"{cause.replace('{0}', self.resource)}{at}", remedy)
         why = f": {error.cause}; {error.remedy}" if isinstance(error, BenchError) else ""
         self._log("!", f"{when}: {type(error).__name__}{why}")
         return error
@@ -266,7 +268,7 @@ class MessageSession:
         if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
             raise InstrumentLost(
                 self.name,
-                f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s",
+                message(f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s"),
                 _RESTART_ADAPTER if isinstance(connection, AdapterConnection) else _RESTART,
             )
 
@@ -305,8 +307,10 @@ class MessageSession:
                 self._log("<", _text(data))
                 raise BadReading(
                     self.name,
-                    f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
-                    "try again, and check that no other program uses the instrument",
+                    message(
+                        f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}"
+                    ),
+                    message("try again, and check that no other program uses the instrument"),
                 )
         return data
 
@@ -337,22 +341,24 @@ class MessageSession:
         if not data:
             return InstrumentLost(
                 self.name,
-                f"{self.resource} did not answer {command} within {allowed_s:g} s",
-                "check its power, its interface setting and the cable",
+                message(f"{self.resource} did not answer {command} within {allowed_s:g} s"),
+                message("check its power, its interface setting and the cable"),
             )
         self._log("<", _text(data))
         return BadReading(
             self.name,
-            f"the reply to {command} was cut short after {_shown(_text(data))}, "
-            f"no end of line within {allowed_s:g} s",
-            "try again; if the fault returns, check cable and terminations",
+            message(
+                f"the reply to {command} was cut short after {_shown(_text(data))}, "
+                f"no end of line within {allowed_s:g} s"
+            ),
+            message("try again, and if the fault returns, check cable and terminations"),
         )
 
     def _closed(self, when: str) -> InstrumentLost:
         return InstrumentLost(
             self.name,
-            f"{self.resource} closed the connection {when}",
-            "check that the instrument is on and nobody else uses it, then repeat this step",
+            message(f"{self.resource} closed the connection {when}"),
+            message("check that the instrument is on and nobody else uses it, then repeat this step"),
         )
 
     def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
@@ -365,8 +371,8 @@ class MessageSession:
         self._log("<", _text(data).rstrip("\r\n"))
         raise BadReading(
             self.name,
-            f"{_shown(_text(data).rstrip())} came unasked before {command}",
-            "repeat this step, and check that no other program uses the instrument",
+            message(f"{_shown(_text(data).rstrip())} came unasked before {command}"),
+            message("repeat this step, and check that no other program uses the instrument"),
         )
 
     def _log(self, direction: str, text: str) -> None:

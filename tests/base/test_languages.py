@@ -38,6 +38,44 @@ def test_a_sentence_that_begins_with_a_number_is_translated_beside_another(ukrai
     assert "задано" in translated(doubt)
 
 
+REFUSED = (
+    "voltmeter.y: ADDRESS refused the connection; check that the instrument is on and that address and port in "
+    "the bench file are right"
+)
+STANDS = "check that it stands still, and if not, press its emergency stop"
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Choose one of untouched, mounted again, not '1'. The block was mounted in installation 1. Has nobody "
+        "touched it since? If somebody has, mount it again now and answer 'mounted again'",
+        f"failed, tried again: {REFUSED}",
+        f"{REFUSED}; 1 reading is kept in RUN; resume with 'bench resume RUN'",
+        "head: no reading within 0°00′30″ of 45°00′00″ in 5 attempts (X); check the clamp, the scale and the "
+        "procedure's angle, then redo this point",
+        "still to do: chamber: is still conditioning at 25 °C: switch it off by hand. Cause: ADDRESS did not "
+        f"answer MON? within 3 s\nstill to do: head: {STANDS}. Cause: its driver failed with OSError: 5",
+        "voltmeter.x: the signal of channel x overloads the 10 V range; choose a higher range in the procedure, "
+        "or check the wiring and power of the block",
+        "head: it stalled at 5°00′00″, sent to 9°00′00″: no progress in 5 s; check the load and that nothing "
+        "blocks the head, then repeat this step",
+        "redo is not possible: no step is running yet",
+        "voltmeter.y: ADDRESS closed the connection -; check that the instrument is on and nobody else uses it, "
+        "then repeat this step",
+    ],
+)
+def test_what_a_halted_run_says_is_translated_clause_by_clause(ukrainian, text):
+    assert not re.findall(
+        "[a-z]{3,}", translated(text).replace("«bench resume RUN»", "").replace("OSError", "")
+    )
+
+
+def test_the_number_in_a_clause_chooses_the_plural(ukrainian):
+    assert translated("interrupted; 1 reading is kept in RUN") == "перервано; 1 показ збережено в RUN"
+    assert translated("interrupted; 7 readings are kept in RUN") == "перервано; 7 показів збережено в RUN"
+
+
 def test_english_texts_come_back_byte_for_byte():
     text = message("✓ Verification passed, 0.12 V")
     assert translated(text) is text

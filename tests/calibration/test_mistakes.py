@@ -11,6 +11,7 @@ import pytest
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.calibrate import ESTIMATORS
 from bench.calibration.mistakes import refuse_mixed_units, sheet_of, wrong_unit
+from bench.calibration.result import SpoiledFit
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
@@ -27,8 +28,9 @@ FITTING = ("gls", "least-squares", "robust")
 
 
 def refused(readings, match, estimator="gls", model=MODEL):
-    with pytest.raises(CalibrationError, match=match):
+    with pytest.raises(CalibrationError, match=match) as refusal:
         calibrate(readings, model, STAND_U, 9.81, estimator)
+    return refusal.value
 
 
 @pytest.mark.parametrize(
@@ -405,6 +407,5 @@ def test_rows_that_spoil_a_fit_are_named(spoil, what):
     readings = simulate(np.random.default_rng(8), 1e-4)
     spoil(readings.signal)
     row = f"installation 1, pass {readings.pass_number[5]}, point {readings.point[5]}"
-    refused(
-        readings, f"{what}.*; these readings are far off: {row}.*; find the mistake with 'bench diagnose'$"
-    )
+    why = f"{what}.*; these readings are far off: {row}.*; find the mistake with 'bench diagnose'$"
+    assert isinstance(refused(readings, why), SpoiledFit)

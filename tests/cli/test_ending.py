@@ -9,6 +9,7 @@ import pytest
 
 import bench as face
 from bench.calibration.conformity import Statement
+from bench.calibration.result import SpoiledFit
 from bench.run.folder import Run
 from bench.services.conclusion import MOST_LINES, conclude, ending
 from tests.support.commands import printed, refused
@@ -81,6 +82,18 @@ def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
     lines = ending(replace(concluded, calibration=replace(concluded.calibration, calibration=bad)))
     assert lines[0] == "finished (SIMULATED): NOT ACCEPTED: the model does not fit the readings"
     assert any(line.startswith("verification points: ") for line in lines)
+    assert lines[-1] == "next: bench diagnose finished"
+
+
+def test_where_wrong_readings_spoil_the_calibration_the_run_is_not_accepted(concluded, monkeypatch):
+    def spoiled(_):
+        raise SpoiledFit("channel x does not respond", "check its cable")
+
+    monkeypatch.setattr("bench.services.conclusion.calibration_of", spoiled)
+    found = conclude(concluded.run)
+    assert not found.accepted
+    lines = ending(found)
+    assert lines[0].endswith("no calibration from it: channel x does not respond; check its cable")
     assert lines[-1] == "next: bench diagnose finished"
 
 

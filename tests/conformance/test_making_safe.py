@@ -190,4 +190,6 @@ def test_a_front_panel_that_was_not_given_back_is_told(device, tmp_path):
             raise InstrumentLost(stand.driver.name, "it is gone", "check the cable")
 
         stand.session.write = write
-        assert stand.driver.close() == "its front panel stays in remote: press its local key (it is gone)"
+        assert (
+            stand.driver.close() == "its front panel stays in remote: press its local key. Cause: it is gone"
+        )

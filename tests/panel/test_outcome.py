@@ -1,10 +1,13 @@
 """The end of a run on its page: the verdict, the change since the last calibration, what is offered next."""
 
 import json
+import re
 import shutil
+from collections import deque
 
 import pytest
 
+from bench.base.languages import catalogue
 from bench.base.numbers import rounded
 from bench.panel.access import Role
 from bench.panel.folder import RunsFolder
@@ -18,9 +21,12 @@ from bench.panel.outcome import (
     previous_calibration,
 )
 from bench.panel.results import results_of
+from bench.panel.run_events import RunView
+from bench.panel.run_state import alarm_of
 from bench.panel.stream import DISK_NEEDED, Follower
-from bench.run.events import EVENTS, MANIFEST
+from bench.run.events import EVENTS, MANIFEST, Event, RunState
 from bench.run.folder import RESULTS, Run
+from bench.run.person import AskedPrompt, mount_prompt
 from tests.support.pages import ROOT
 from tests.support.panel_client import Browser
 
@@ -204,3 +210,36 @@ def test_a_run_whose_program_is_gone_is_an_alarm_and_a_finished_one_is_none(grow
     assert alarm["do"] == "resume"
     assert "ended unexpectedly" in alarm["cause"]
     assert state_after(growing, 10_000)["alarm"] is None
+
+
+# --- in Ukrainian -------------------------------------------------------------------------------------
+
+LOST = "voltmeter.y: ADDRESS did not answer READ? within 5 s; check its power, its interface setting and the cable"
+TURNED = "the head was turned to the next point: it stood at 90°00′00″"
+SIGN = {
+    "step": 3,
+    "sentence": "the reading of installation 1, pass 1, point 2 at 45°00′00″ differs from the prediction: x +99 mV "
+    f"(u = 0.45 mV, 220 σ); probable cause: {TURNED}",
+    "causes": [TURNED],
+    "confident": True,
+    "channels": ["x"],
+}
+
+
+@pytest.mark.parametrize(
+    ("state", "why", "warnings", "disk_full"),
+    [
+        (RunState.FAILED, LOST, (), False),
+        (RunState.FAILED, "", (), False),
+        (RunState.RUNNING, "", (), False),
+        (RunState.RUNNING, "", (), True),
+        (RunState.RUNNING, "", (Event(9, "t", 0.0, "early_sign", SIGN),), False),
+    ],
+)
+def test_an_alarm_can_be_read_in_ukrainian(growing, state, why, warnings, disk_full):
+    plan = Run(growing).plan
+    view = RunView(plan, state=state, why=why, warnings=deque(warnings))
+    asked = AskedPrompt(Event(10, "t", 0.0, "asked", {}), mount_prompt(plan.steps[1], chamber=False))
+    alarm = alarm_of(view, asked, alive=bool(warnings), disk_full=disk_full)
+    for text in filter(None, (alarm["cause"], alarm["action"], alarm["details"])):
+        assert not re.findall("[a-z]{3,}", catalogue("uk").translate(text)), text

@@ -281,6 +281,15 @@ def test_a_swap_that_is_mended_and_taken_again_leaves_no_trace():
 
 
 @pytest.mark.slow
+def test_a_head_turned_to_the_next_point_is_named_on_a_block_mounted_again():
+    """The readings of a block that was mounted again have a series that the plan lacks."""
+    rows = [replace(row, series=2) for row in run_of(3, off_rad=at(2, np.radians(45.0)))]
+    following = {(1, "1", 1, 2): np.radians(90.0)}
+    watcher = EarlyWarning(NOMINAL, MODEL, BENCH_U, following=following)
+    signs = [sign for row in rows[:2] for sign in watcher.take(row)]
+    assert signs[-1].causes[0] == "the head was turned to the next point: it stood at 90°00′00″"
+
+
 def test_a_mount_that_the_rows_do_not_show_can_be_told():
     """After a resume the block sits 100″ otherwise in the same installation: within the stand's limits."""
     off = np.where(np.arange(N) >= 9, np.radians(100 / 3600), 0.0)[:27]

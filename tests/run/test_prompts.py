@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
+from bench.base.languages import speaking
 from bench.config.procedure.plan import Mount
 from bench.run.events import Wish
 from bench.run.instruments import same_serials
@@ -18,6 +19,7 @@ from bench.run.person import (
     confirm,
     leave_wish,
     mount_prompt,
+    untouched_prompt,
 )
 from bench.run.terminal import TerminalPerson, heard_at, typing_help
 from drivers.interfaces import BenchError, Identity, NoAnswer
@@ -86,6 +88,14 @@ def test_a_mounting_is_confirmed_in_words_and_speaks_of_a_chamber_only_where_the
         confirm(Script(*[""] * 30), prompt)
 
 
+def test_the_answers_in_brackets_are_in_the_language_of_the_question():
+    prompt = untouched_prompt(Mount("m", "1", 1))
+    shown = io.StringIO()
+    with speaking("uk"):
+        TerminalPerson(io.StringIO("не чіпали\n"), Console(file=shown, width=200)).ask(prompt)
+    assert "[не чіпали, закріплено знову; ? = довідка]" in shown.getvalue()
+
+
 def test_help_names_the_answers_and_the_wishes_of_the_prompt():
     shown = io.StringIO()
     person = TerminalPerson(io.StringIO("?\n?\n12\n"), Console(file=shown, width=100))
@@ -149,7 +159,7 @@ def test_a_wish_typed_at_a_prompt_is_heard_and_a_misspelt_one_explained():
     with pytest.raises(OperatorWish) as heard:
         person.ask(Prompt("1#1", PromptKind.ANGLE, "Turn"))
     assert heard.value.control == RunControl(Wish.SKIP, "the cable came loose", by_person=True)
-    assert ":rdo is unknown; type one of :pause, :continue, :redo" in shown.getvalue()
+    assert "there is no command :rdo; type one of :pause, :continue, :redo" in shown.getvalue()
     assert "a skip needs a reason" in shown.getvalue()
 
 

@@ -13,7 +13,7 @@ const _ = (() => {
       names.push(part);
       return "(.*?)";
     }).join("");
-    return { names, pattern: new RegExp(`^${source}$`, "su") };
+    return { names, pattern: new RegExp(`^${source}$`, "u") };
   };
   const exact = new Map(), filled = [];
   for (const [english, plural, forms] of told.texts) {
@@ -33,16 +33,24 @@ const _ = (() => {
     return form.replace(/\{(\d+)\}/g, (whole, name) => (name in values ? values[name] : whole));
   };
   const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
-  const copied = (text, surely = true) => {
-    for (const { names, pattern, forms, sure } of filled) {
+  const copied = (text, surely = true, clauses = false) => {
+    for (const { names, pattern, forms, sure, first } of filled) {
       if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
+      if (found && !clauses && first && found.slice(1).some((value) => /; |[.?!] (?=[A-Z(])/.test(value))) continue;
       if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
     }
     return null;
   };
-  const part = (text) => (numeric(text) ? (/\p{L}/u.test(text) ? number(text) : text) : known(text) || copied(text) || copied(text, false) || text);
+  const part = (text) => {
+    if (numeric(text)) return /\p{L}/u.test(text) ? number(text) : text;
+    const whole = known(text) || copied(text) || copied(text, false);
+    const colon = text.indexOf(": ");
+    if (whole || colon < 0 || text.slice(0, colon).includes(" ")) return whole || text;
+    const rest = text.slice(colon + 2), told = part(rest);  // an instrument and its fault
+    return told === rest ? text : `${say(text.slice(0, colon))}: ${told}`;
+  };
   const foreign = (text) => (text.match(/\b[a-z]{3,}\b/g) || []).some((word) => !UNITS.has(word)) && part(text) === text;
   const settled = (text) => !text.trim().includes(" ") || !foreign(text);
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
@@ -64,9 +72,11 @@ const _ = (() => {
       const small = lowered === text ? null : look(lowered);
       if (small !== null) return upper(small);
     }
-    for (const [parts, joint] of [[text.split("\n"), "\n"], [text.split("  "), "  "], [text.split(/(?<=[.?!]) (?=[A-Z(])/), " "]]) {
-      if (parts.length > 1) return parts.map(say).join(joint);
+    for (const joint of ["\n", "  "]) {
+      if (text.includes(joint)) return text.split(joint).map(say).join(joint);
     }
+    const end = text.search(/(?<=[.?!]) (?=[A-Z(])/);  // the rest may be an entry of several sentences
+    if (end >= 0) return `${say(text.slice(0, end))} ${say(text.slice(end + 1))}`;
     const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
     if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
     for (const joint of ["; ", ": ", ", "]) {
@@ -74,7 +84,7 @@ const _ = (() => {
       const whole = parts.every(settled) ? parts.map(part).join(joint) : text;
       if (whole !== text) return whole;
     }
-    return copied(text, false) || text;
+    return copied(text, true, true) || part(text);
   };
   return say;
 })();

@@ -129,7 +129,7 @@ def test_a_lan_instrument_is_locked_within_the_timeout() -> None:
 def test_one_that_somebody_else_has_locked_is_refused_with_the_cause() -> None:
     with pytest.raises(VisaIOError) as locked:
         connection(TCPIPInstrument, VisaIOError(StatusCode.error_resource_locked)).take_own_lock(1.0)
-    assert probable_cause(locked.value)[0] == "is locked by another program or computer"
+    assert probable_cause(locked.value)[0] == "{0} is locked by another program or computer"
 
 
 @pytest.mark.parametrize("answer", [VisaIOError(StatusCode.error_nonsupported_operation), KeyError(8)])

@@ -94,7 +94,7 @@ def test_a_stop_that_fails_twice_is_told_with_the_emergency_stop(clock, person, 
     check_moves(given)
     stop = next(one for one in given.findings if one.check == "stop")
     assert (stop.state, stop.said) == (State.OTHER, "it refuses ST")
-    assert "press its emergency stop (it refuses ST)" in stop.remedy
+    assert "press its emergency stop. Cause: it refuses ST" in stop.remedy
 
 
 def test_whatever_ends_the_stop_the_head_was_told_to_stop(clock, person, monkeypatch):
