@@ -51,8 +51,8 @@ class Record:
     """A record at a known input, as n means of consecutive readings in c `channels` (indices).
 
     `reference_v` (n,) is the input, V; `deviation_v` (n, c) is signal minus input, V; `scale` (n,) is the
-    relative white noise of each mean. `conditions` are those of the means; `used` (m,) is the mask of the readings in
-    them.
+    relative white noise of each mean. `conditions` are those of the means; `used` (m,) is the mask of the
+    readings in them.
     """
 
     source: str

@@ -90,9 +90,7 @@ def test_u_covers_the_truth_beside_slow_noise(tmp_path):
     """
     pulls = []
     for seed in range(12):
-        record = record_at_levels(
-            tmp_path, seed, levels=(0.0,), walk=0.5e-6, count=480 if seed % 2 else 240
-        )
+        record = record_at_levels(tmp_path, seed, levels=(0.0,), walk=0.5e-6, count=480 if seed % 2 else 240)
         (x,) = calibrate_record(record).channels
         pulls.append((x.offset_v.value - OFFSET) / x.offset_v.u)
     # a chi-square of 12 degrees of freedom over 12 lies below 2.5 but for 3 in 1000
