@@ -51,8 +51,8 @@ class Record:
     """A record at a known input, as n means of consecutive readings in c `channels` (indices).
 
     `reference_v` (n,) is the input, V; `deviation_v` (n, c) is signal minus input, V; `scale` (n,) is the
-    relative noise of each mean. `conditions` are those of the means; `used` (m,) is the mask of the readings in
-    them.
+    relative white noise of each mean. `conditions` are those of the means; `used` (m,) is the mask of the
+    readings in them.
     """
 
     source: str
@@ -274,7 +274,7 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 
 
 def _relative(spread: Floats) -> Floats:
-    """Return the relative noise (n,) of the means, from the `spread` (n, c) of the readings in each.
+    """Return the relative white noise (n,) of the means, from the `spread` (n, c) of the readings in each.
 
     It is uniform if the largest is less than `LARGER` times the smallest; else it is limited to a factor of
     `LARGER` squared about the median. It is smoothed over a seventh of a full record.

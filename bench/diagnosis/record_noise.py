@@ -94,8 +94,9 @@ class NoiseTrials:
 
     @classmethod
     def of(cls, record: Record) -> NoiseTrials:
-        """Return the trial noises for the times of a record."""
-        found = (linalg.eigh(kernel) for kernel in slow_kernels(record.time_h))
+        """Return the trial noises for the times of a record; its relative noise is that of white noise alone."""
+        relative = np.outer(record.scale, record.scale)
+        found = (linalg.eigh(kernel / relative) for kernel in slow_kernels(record.time_h))
         slow = tuple((np.maximum(variance, 0.0), vectors) for variance, vectors in found)
         return cls(slow, record.trend / record.scale[:, None])
 

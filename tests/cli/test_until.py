@@ -2,12 +2,14 @@
 
 import json
 import shutil
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from bench.cli.app import main as command_line
 from bench.config.shipped import find_bench
+from bench.planning.choice import time_outlook
 from bench.run.events import Wish
 from bench.run.person import ControlFile, RunControl
 
@@ -38,6 +40,14 @@ def main(arguments: list[str]) -> int:
     with pytest.raises(SystemExit) as end:
         command_line(arguments)
     return int(end.value.code)
+
+
+@pytest.fixture(autouse=True, scope="module")
+def short_outlook():
+    """What a run is expected to take is told from few simulated ones: `tests/planning/test_until.py` tests it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bench.services.until.time_outlook", partial(time_outlook, draws=4))
+        yield
 
 
 @pytest.fixture(scope="module")

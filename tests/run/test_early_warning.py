@@ -228,24 +228,27 @@ def test_one_channel_that_is_off_once_is_named():
 
 
 @pytest.mark.parametrize(
-    "mistaken",
+    ("mistaken", "readings"),
     [
-        {"wired": channels([1, 0, 2])},
-        {"wired": channels([1, 2, 0])},
-        {"wired": channels([0, 1, 2], [1, 1, -1])},
-        {"off_rad": -2 * plan()[3]},
-        {"off_rad": at(7, np.radians(45.0))},
-        {"off_rad": at(21, np.radians(-1.0))},
-        {"off_rad": np.where(np.arange(N) >= 12, np.radians(0.3), 0.0)},
-        {"actual": ["2", *plan()[0][1:]]},
-        {"actual": ["1" if label == "2" else label for label in plan()[0]]},
-        {"wired": lambda signal: signal + np.outer(np.arange(N) == 20, [0.0, 0.0, 5e-3])},
-        {"noise_v": 1e-3},
+        ({"wired": channels([1, 0, 2])}, 5),
+        ({"wired": channels([1, 2, 0])}, 14),
+        ({"wired": channels([0, 1, 2], [1, 1, -1])}, 5),
+        ({"off_rad": -2 * plan()[3]}, 5),
+        ({"off_rad": at(7, np.radians(45.0))}, 9),
+        ({"off_rad": at(21, np.radians(-1.0))}, 23),
+        ({"off_rad": np.where(np.arange(N) >= 12, np.radians(0.3), 0.0)}, 32),
+        ({"actual": ["2", *plan()[0][1:]]}, 5),
+        ({"actual": ["1" if label == "2" else label for label in plan()[0]]}, 33),
+        ({"wired": lambda signal: signal + np.outer(np.arange(N) == 20, [0.0, 0.0, 5e-3])}, 23),
+        ({"noise_v": 1e-3}, 18),
     ],
 )
-def test_each_warning_can_be_read_in_ukrainian(mistaken):
-    """Also as the operator meets it: in the prompt of the stopped run, before and after an invalid answer."""
-    signs = watch(run_of(3, **mistaken))
+def test_each_warning_can_be_read_in_ukrainian(mistaken, readings):
+    """Also as the operator meets it: in the prompt of the stopped run, before and after an invalid answer.
+
+    Later readings than the first `readings` repeat the sentences.
+    """
+    signs = watch(run_of(3, **mistaken)[:readings])
     assert signs
     for number, sign in signs:
         doubt = Event(number, "t", 0.0, "early_sign", {"step": 3, **sign.to_json()})

@@ -40,7 +40,8 @@ STEPS = (
 )
 PLAN = Plan("p", STEPS, "ab" * 32, OperatorTime(100.0, 900.0, 20.0))
 
-texts = st.text(max_size=8)
+# without an alphabet, hypothesis takes seconds to find the same characters
+texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
 numbers = st.floats(allow_nan=False, allow_infinity=False)
 wholes = st.integers(1, 10**6)
 directions = st.sampled_from([1, -1])
