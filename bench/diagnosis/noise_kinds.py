@@ -485,7 +485,7 @@ BENCH_FILE: Final = message("the bench file")
 class NoiseFinding:
     """Noise that is significantly larger than the bench file or the samples (`source`) state.
 
-    `what` is "reading" or "setting". `found` and `stated` are standard deviations in `unit`, and `factor` is their
+    `what` is "reading", "slow" (a reading with its slow noise) or "setting". `found` and `stated` are standard deviations in `unit`, and `factor` is their
     ratio. The p-value `p` is corrected for the number of runs. `series` are those of the run with this noise
     (empty: all).
     """
@@ -502,7 +502,11 @@ class NoiseFinding:
     @property
     def words(self) -> str:
         """A sentence that compares the noise with what is stated, and names the consequence."""
-        of = "a reading" if self.what == "reading" else message("a setting of the head")
+        of = {
+            "reading": "a reading",
+            "slow": message("a reading, slow noise included,"),
+            "setting": message("a setting of the head"),
+        }[self.what]
         if self.series:
             of += message(f" of series {', '.join(str(number) for number in self.series)}")
         found, stated = (quantity(size, self.unit) for size in (self.found, self.stated))
@@ -519,13 +523,17 @@ def noise_findings(
     typical_slope: float,
     digit: float = 0.0,
     by_run: RunSizes | None = None,
+    slow: Floats | None = None,
 ) -> tuple[NoiseFinding, ...]:
     """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
     `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file. `typical_slope` is in the
     unit of the signal per rad; `digit` is the step of the last digit. With `by_run`, each run has its own noise.
+    `slow` (n, 3, k) is one standard deviation of each component of slow noise found, unit of the signal.
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
+    if slow is not None:
+        found += _with_slow(noise, readings, stand_u, digit, slow)
     setting = stand_u.get("setting_error", 0.0)
     if setting > 0.0:
         along = [noise.reading**2 + (size * typical_slope) ** 2 for size in (noise.setting_rad, setting)]
@@ -553,6 +561,19 @@ def _of_readings(
         p = min(len(parts) * float(special.fdtrc(freedom, min(known, 1e9), factor**2)), 1.0)
         series = () if by_run is None else tuple(np.unique(own.series).tolist())
         yield NoiseFinding("reading", noise.reading * times, size, own.unit, factor, p, source, series)
+
+
+def _with_slow(
+    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float, slow: Floats
+) -> Iterator[NoiseFinding]:
+    """Yield the finding on readings of the channel with most slow noise, which has few degrees of freedom."""
+    for size, known, source in sorted(_stated(readings, stand_u, digit / np.sqrt(12.0)))[-1:]:
+        square = np.mean(slow[readings.is_oriented] ** 2, axis=0)
+        channel = int(np.argmax(square.sum(axis=1)))
+        found = math.hypot(noise.reading, math.sqrt(float(square[channel].sum())))
+        freedom = float(square[channel].sum() ** 2 / np.sum(square[channel] ** 2))
+        p = float(special.fdtrc(freedom, min(known, 1e9), (found / size) ** 2))
+        yield NoiseFinding("slow", found, size, readings.unit, found / size, p, source)
 
 
 def _stated(

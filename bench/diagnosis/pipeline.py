@@ -110,7 +110,8 @@ def diagnose(
     estimated, weak = _confirmed(prepared, naming)
     linear, whitened, noise, naming = prepared.linear, prepared.whitened, estimated.noise, estimated.naming
     kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
-    findings = noise_findings(noise, readings, stand_u, linear.typical_slope, digit, linear.by_run)
+    stated = readings, stand_u, linear.typical_slope, digit
+    findings = noise_findings(noise, *stated, linear.by_run, _slow(linear))
     effects, far = _with_far(prepared, estimated)
     ratio, repeats = RATIOS.index(near_ratios(linear, noise)[1]), prepared.repeats
     sizes = detectable(whitened, prepared.limit, ratio)

@@ -205,7 +205,7 @@ class AloneResult(ResultModel):
 class FindingPart(ResultModel):
     """A noise that is larger than stated."""
 
-    what: Literal["reading", "setting"]
+    what: Literal["reading", "slow", "setting"]
     found: float
     stated: float
     unit: str

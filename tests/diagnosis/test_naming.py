@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from bench.base.arrays import ARCSEC
 from bench.diagnosis import Threshold, ThresholdCache, diagnose
@@ -400,3 +401,17 @@ def test_a_setting_error_is_a_finding_where_it_shows():
     assert found.what == "setting"
     assert found.unit == "arcsec"
     assert findings(1e-3, 20.0, paper_run(None), setting_error=3 * ARCSEC) == ()
+
+
+def test_slow_noise_counts_as_noise_of_a_reading():
+    """Ten components of 10 uV in z are 32 uV beside 15 uV; one of them alone is 18 uV."""
+    readings, stated = paper_run(None), {"voltmeter_error": 15e-6}
+    noise, slow = NoiseSize(15e-6, 0.0, 150), np.zeros((len(readings), 3, 10))
+    slow[:, 2, :1] = 10e-6
+    assert noise_findings(noise, readings, stated, 2.2, slow=slow) == ()
+    slow[:, 2] = 10e-6
+    (found,) = noise_findings(noise, readings, stated, 2.2, slow=slow)
+    assert (found.what, found.source) == ("slow", BENCH_FILE)
+    assert found.found == pytest.approx(np.hypot(15e-6, np.sqrt(10) * 10e-6))
+    assert found.p == pytest.approx(chi2.sf(10 * found.factor**2, 10), rel=1e-6)
+    assert "slow noise included, is 35 µV, 2.3 times the 15 µV" in found.words
