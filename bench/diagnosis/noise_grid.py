@@ -298,10 +298,9 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     beside = wide.copy()
     for span in spans:
         span.leave(beside, np.ones_like(span.kept))
-    q, r = np.linalg.qr(np.concatenate([beside, np.eye(wide.shape[1])]))
-    log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
-    basis, size, _ = np.linalg.svd(q[: len(wide)], full_matrices=False)
-    left = 1.0 - size**2
+    basis, size, _ = np.linalg.svd(beside, full_matrices=False)
+    log_det -= 0.5 * float(np.sum(np.log1p(size**2)))
+    left = 1.0 / (1.0 + size**2)
     kept = np.sqrt(np.where(left > NEGLIGIBLE, left, 0.0))
     return (*spans, Span(slice(None), basis, kept)), log_det
 
