@@ -332,10 +332,7 @@ class View:
 
     def rows_of(self, change: Floats) -> Floats:
         """Return the change of the rows, (N, …), that a change of the signals (n, 3, …) causes."""
-        modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
-        each = change.shape[2:]
-        settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
-        return np.concatenate([settings, modulus, inputs])
+        return np.asarray(self.by_channel(change).sum(axis=-1))
 
     def by_channel(self, change: Floats) -> Floats:
         """Return what `rows_of` returns, by the channel whose signal changes, (N, …, 3)."""

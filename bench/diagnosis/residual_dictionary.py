@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
@@ -137,55 +137,39 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     Terms of the stand or the head are for all channels; terms that change no row are left out.
     """
     terms = list(_terms(linear))
-    for term, (changes, of_all, shown) in zip(terms, _changes(linear, terms), strict=True):
+    for term, changes in zip(terms, _changes(linear, terms), strict=True):
+        shown = changes.any(axis=(0, 2)).tolist()
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
                 yield term, channel, changes[:, channel]
         if any(shown):
-            yield term, None, of_all
-
-
-class TermChanges(NamedTuple):
-    """Changes of the N rows by one plausible size of each of k amplitudes of a term.
-
-    `of_channels` is (k, channels, N), `of_all` (k, N) is their sum; `shown` has the channels that change.
-    """
-
-    of_channels: Floats
-    of_all: Floats
-    shown: list[bool]
-
-
-def _shown_in(changes: Floats, sizes: Sequence[int]) -> Iterator[TermChanges]:
-    """Yield the changes of each of several terms with so many `sizes`; `changes` (…, channels, N) are of all."""
-    of_all, shown, stop = changes.sum(axis=1), changes.any(axis=2), 0
-    for count in sizes:
-        own = slice(stop, stop := stop + count)
-        yield TermChanges(changes[own], of_all[own], shown[own].any(axis=0).tolist())
+            yield term, None, changes.sum(axis=1)
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
-def _changes(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[TermChanges]:
-    found: dict[int, TermChanges] = {}
+def _changes(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[Floats]:
+    """Return the changes (k, channels, N) of the rows by plausible sizes of the k amplitudes of each term."""
+    found: dict[int, Floats] = {}
     values_of = cache(_values_of(linear))
     places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
     for number, term in enumerate(terms):
         if term.course is None:
-            of_term = np.stack(list(_of_effect(linear, term)))
-            (found[number],) = _shown_in(of_term, [len(of_term)])
-            continue
-        added = number, term.unit.plausible * values_of(term.course)
-        places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(added)
+            found[number] = np.stack(list(_of_effect(linear, term)))
+        else:
+            added = number, term.unit.plausible * values_of(term.course)
+            places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(added)
     for (stage, adds_to, in_proportion), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
-            changes = linear.stage_columns(
+            added_there = linear.stage_columns(
                 np.concatenate(courses).T, stage, adds_to, in_proportion=in_proportion
             )
-            of_terms = _shown_in(changes.transpose(1, 2, 0).copy(), [*map(len, courses)])
-            found.update(zip(numbers, of_terms, strict=True))
+            changes = np.ascontiguousarray(added_there.transpose(1, 2, 0))
+            stops = np.cumsum([*map(len, courses)]).tolist()
+            own = (changes[stop - len(of) : stop] for of, stop in zip(courses, stops, strict=True))
+            found.update(zip(numbers, own, strict=True))
     return [found[number] for number in range(len(terms))]
 
 
