@@ -138,7 +138,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """
     terms = list(_terms(linear))
     for term, changes in zip(terms, _changes(linear, terms), strict=True):
-        shown = changes.any(axis=(0, 2)).tolist()
+        shown = [bool(of_channel.any()) for of_channel in np.swapaxes(changes, 0, 1)]
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
                 yield term, channel, changes[:, channel]
@@ -158,8 +158,8 @@ def _changes(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[Floa
         if term.course is None:
             found[number] = np.stack(list(_of_effect(linear, term)))
         else:
-            added = number, term.unit.plausible * values_of(term.course)
-            places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(added)
+            one = number, term.unit.plausible * values_of(term.course)
+            places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(one)
     for (stage, adds_to, in_proportion), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
