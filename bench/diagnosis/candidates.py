@@ -5,10 +5,10 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import orth
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.base.languages import message
@@ -16,7 +16,7 @@ from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.levels import ALIKE, MARK_DEG
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
-from bench.diagnosis.residual_dictionary import DictionaryTerm, dictionary
+from bench.diagnosis.residual_dictionary import SIZE_NAMES, DictionaryTerm, dictionary
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage
 from bench.model.effects.base import pass_label
 from bench.readings.columns import METER_C, ROOM_C, meter_c
@@ -135,7 +135,7 @@ class Variant(NamedTuple):
     @property
     def named(self) -> bool:
         """Whether the family is an effect of the catalogue."""
-        return self.family in CATALOGUE
+        return self.term is None and self.family not in UNNAMED
 
 
 @dataclass
@@ -187,7 +187,7 @@ class Collector:
         self.scale: list[float] = []
         self.variants: list[Variant] = []
         self._everywhere: dict[tuple[object, ...], dict[int | None, Floats]] = {}
-        self._rows: dict[tuple[str, ...], Mask] = {}
+        self.rows_in = cache(linear.rows_in)
 
     def columns_of(
         self,
@@ -206,9 +206,7 @@ class Collector:
         key = (effect.name, parameter.name, shape)
         if key not in self._everywhere:
             self._everywhere[key] = plausible_columns(self.linear, effect, parameter, shape, ())
-        if mounts not in self._rows:
-            self._rows[mounts] = self.linear.rows_in(mounts)
-        rows = self._rows[mounts]
+        rows = self.rows_in(mounts)
         return {channel: np.where(rows, column, 0.0) for channel, column in self._everywhere[key].items()}
 
     def add(self, column: Floats, kind: Column, scale: float) -> int:
@@ -239,16 +237,15 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
 
     Terms that follow the same course and act on the same quantity are one family, in whatever channels they act.
     """
-    columns: list[Floats] = []
+    columns = [candidates.columns.T]
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
-    for term, channels, sizes in dictionary(linear):
-        places = tuple(range(len(kinds), len(kinds) + len(sizes)))
-        kinds += [Column(size, channel) for size, channel, _ in sizes]
-        scale += [term.unit.plausible] * len(sizes)
-        columns += [column for *_, column in sizes]
-        variants.append(Variant(term.family, places, channels, term=term))
-    whole = np.column_stack([candidates.columns, np.array(columns).reshape(-1, len(linear)).T])
-    return Candidates(whole, tuple(kinds), np.array(scale), tuple(variants))
+    for term, channel, changes in dictionary(linear):
+        places = tuple(range(len(kinds), len(kinds) + len(changes)))
+        kinds += [Column(size, channel) for size in SIZE_NAMES[: len(changes)]]
+        scale += [term.unit.plausible] * len(changes)
+        columns.append(changes)
+        variants.append(Variant(term.family, places, (0, 1, 2) if channel is None else (channel,), term=term))
+    return Candidates(np.concatenate(columns).T.copy(), tuple(kinds), np.array(scale), tuple(variants))
 
 
 def is_form(candidates: Candidates, family: str) -> bool:
@@ -266,12 +263,14 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
         if variant.named:
             own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
     unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
-    columns = white @ candidates.columns
-    left, same = columns[:, unnamed], np.zeros(len(candidates.kinds), dtype=bool)
-    bases = [orth(columns[:, sorted(of_effect)], rcond=1e-9).T for of_effect in own.values()]
+    columns = (white @ candidates.columns).T
+    left, same, bases = columns[unnamed], np.zeros(len(columns), dtype=bool), []
+    for of_effect in own.values():
+        size, basis = np.linalg.svd(columns[sorted(of_effect)], full_matrices=False)[1:]
+        bases.append(basis[size > 1e-9 * size[0]])
     starts = np.cumsum([0, *map(len, bases[:-1])])
-    explained = np.add.reduceat((np.concatenate(bases) @ left) ** 2, starts, axis=0)
-    same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=0), axis=0)
+    explained = np.add.reduceat((left @ np.concatenate(bases).T) ** 2, starts, axis=1)
+    same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=1, keepdims=True), axis=1)
     kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
     return replace(candidates, variants=kept)
 
@@ -426,7 +425,7 @@ def _starts(
         everywhere = plausible_columns(linear, effect, start, shape, ())
         mounts = [str(m) for m in linear.conditions.mounts if m.installation not in UNORIENTED]
         for mount, (channel, column) in itertools.product(mounts, everywhere.items()):
-            own = np.where(linear.rows_in((mount,)), column, 0.0) * (spread / start.plausible)
+            own = np.where(collector.rows_in((mount,)), column, 0.0) * (spread / start.plausible)
             if np.any(own):
                 kind = Column(start.name, channel, (mount,))
                 index.setdefault(channel, []).append(collector.add(own, kind, spread))

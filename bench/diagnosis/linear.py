@@ -271,7 +271,7 @@ class LinearSystem:
                 change = change * (force if of_block else self._still.readings)[..., None]
         if of_block:
             change = np.where(np.isnan(self.view.voltage_v)[..., None], change, 0.0)
-        return self.view.rows_of(change[..., None] * np.eye(3)[:, None])
+        return self.view.by_channel(change)
 
     @cached_property
     def _stand(self) -> tuple[Floats, Floats]:
@@ -298,7 +298,7 @@ class LinearSystem:
     def effect_columns(self, applied: AppliedEffect) -> Floats:
         """Return the change (N, 3) of the rows that an effect with its values causes in each channel."""
         change = self._still.instead(None, applied) - self._still.readings
-        return self.view.rows_of(change[:, :, None] * np.eye(3))
+        return self.view.by_channel(change)
 
 
 @dataclass(frozen=True)
@@ -332,10 +332,19 @@ class View:
 
     def rows_of(self, change: Floats) -> Floats:
         """Return the change of the rows, (N, …), that a change of the signals (n, 3, …) causes."""
-        modulus = np.einsum("mi,mi...->m...", self.by_signal, change[self.moduli])
-        each = change.shape[2:]
-        settings, inputs = (change[own].reshape(-1, *each) for own in (self.settings, self.inputs))
-        return np.concatenate([settings, modulus, inputs])
+        return np.asarray(self.by_channel(change).sum(axis=-1))
+
+    def by_channel(self, change: Floats) -> Floats:
+        """Return what `rows_of` returns, by the channel whose signal changes, (N, …, 3)."""
+        reading, by_signal = self._rows
+        return np.moveaxis(change[reading] * by_signal.reshape(-1, 3, *[1] * (change.ndim - 2)), 1, -1)
+
+    @cached_property
+    def _rows(self) -> tuple[Ints, Floats]:
+        """The reading (N,) of each row, and the derivatives (N, 3) of the row by the signals of this reading."""
+        places = [np.repeat(self.settings, 3), self.moduli, np.repeat(self.inputs, 3)]
+        settings, inputs = (np.tile(np.eye(3), (len(own), 1)) for own in (self.settings, self.inputs))
+        return np.concatenate(places), np.concatenate([settings, self.by_signal, inputs])
 
 
 def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, float]) -> LinearSystem:

@@ -113,15 +113,6 @@ class Whitener:
             turned[rows] = _times(turn, columns[rows])
         return turned
 
-    def taken(self, turned: Floats) -> Iterator[Floats]:
-        """Yield, for each fitted subspace, the part (k, P) of the columns that it removes.
-
-        `turned` are columns whose noise is independent (`apart`).
-        """
-        for span in self.fitted:
-            along = (span.basis.T * self.root[span.rows]) @ turned[span.rows]
-            yield along * np.sqrt(1.0 - span.kept**2)[:, None]
-
     def _half(self, columns: Floats) -> Floats:
         return np.asarray((self.apart(columns).T * self.root).T)
 
@@ -171,8 +162,16 @@ class NoiseGrid:
             if not span.kept.any():
                 span.leave(rows, np.ones_like(span.kept))
         rows /= first.root[:, None]
-        taken = np.stack([np.concatenate(list(white.taken(rows))) for white in self.white])
-        return ColumnProducts(rows, np.stack([white.root**2 for white in self.white]), taken)
+        taken = []
+        for spans in zip(*(white.fitted for white in self.white), strict=True):
+            own = spans[0].rows
+            along = [
+                span.basis.T * np.sqrt(1.0 - span.kept**2)[:, None] * white.root[own]
+                for span, white in zip(spans, self.white, strict=True)
+            ]
+            taken.append(np.tensordot(along, rows[own], axes=1))
+        weight = np.stack([white.root**2 for white in self.white])
+        return ColumnProducts(np.ascontiguousarray(rows.T), weight, np.concatenate(taken, axis=1))
 
 
 def make_noise_grid(
@@ -299,10 +298,9 @@ def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
     beside = wide.copy()
     for span in spans:
         span.leave(beside, np.ones_like(span.kept))
-    q, r = np.linalg.qr(np.concatenate([beside, np.eye(wide.shape[1])]))
-    log_det -= float(np.sum(np.log(np.abs(np.diag(r)))))
-    basis, size, _ = np.linalg.svd(q[: len(wide)], full_matrices=False)
-    left = 1.0 - size**2
+    basis, size, _ = np.linalg.svd(beside, full_matrices=False)
+    log_det -= 0.5 * float(np.sum(np.log1p(size**2)))
+    left = 1.0 / (1.0 + size**2)
     kept = np.sqrt(np.where(left > NEGLIGIBLE, left, 0.0))
     return (*spans, Span(slice(None), basis, kept)), log_det
 
@@ -321,35 +319,40 @@ EVERY: Final = slice(None)
 class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
-    The rows of `rows` (N, P) are independent at all ratios; `weight` (ratios, N) is their inverse variance. `taken`
-    (ratios, k, P) are the parts along the fitted directions, whose products are subtracted. With two sources of
-    variance, one diagonalisation serves all their ratios: Patterson and Thompson, Biometrika 58 (1971) 545.
+    Element i of `columns` (P, N) has column i, whose N rows are independent at all ratios; `weight` (ratios, N) is
+    their inverse variance. `taken` (ratios, k, P) are the parts along the fitted directions, whose products are
+    subtracted. With two sources of variance, one diagonalisation serves all their ratios: Patterson and Thompson,
+    Biometrika 58 (1971) 545.
     """
 
-    rows: Floats
+    columns: Floats
     weight: Floats
     taken: Floats
 
     def across(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P, for the ratios `at`."""
-        whole = (self.rows[:, columns].T * self.weight[at][:, None]) @ self.rows
+        weighed = self.columns[columns] * self.weight[at][:, None]
+        whole = np.tensordot(weighed, self.columns, axes=(2, 1))
         return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
-        if columns.shape[-1] == 1:
-            return np.asarray(self.square[at][:, columns[..., 0], None, None])
-        chosen = np.moveaxis(self.rows[:, columns], 0, -2)
-        weight = self.weight[at].reshape(-1, *[1] * (columns.ndim - 1), len(self.rows), 1)
-        taken = np.moveaxis(self.taken[at][:, :, columns], 1, -2)
-        gram = np.swapaxes(chosen, -1, -2) @ (weight * chosen)
-        return np.asarray(gram - np.swapaxes(taken, -1, -2) @ taken)
+        size = columns.shape[-1]
+        first, second = np.triu_indices(size, 1)
+        one, other = columns[..., first].ravel(), columns[..., second].ravel()
+        whole = self.weight[at] @ (self.columns[one] * self.columns[other]).T
+        taken = np.einsum("rkp,rkp->rp", self.taken[at][:, :, one], self.taken[at][:, :, other])
+        gram = np.empty((len(whole), *columns.shape, size))
+        gram[..., range(size), range(size)] = self.square[at][:, columns]
+        gram[..., first, second] = (whole - taken).reshape(gram[..., first, second].shape)
+        gram[..., second, first] = gram[..., first, second]
+        return gram
 
     @cached_property
     def square(self) -> Floats:
         """The squared length of each column, shape (ratios, P)."""
         taken = np.einsum("rkp,rkp->rp", self.taken, self.taken)
-        return np.asarray(self.weight @ self.rows**2 - taken)
+        return np.asarray(self.weight @ self.columns.T**2 - taken)
 
 
 # --- the noise, from repeats ----------------------------------------------------------------------

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from functools import cache
+from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, MINUTE, Floats, Mask
+from bench.base.arrays import ARCSEC, MINUTE, Floats
 from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
@@ -126,68 +127,50 @@ def _factor(text: str) -> str:
     return text if plain else f"({text})"
 
 
-TermColumns = tuple[DictionaryTerm, tuple[int, ...], list[tuple[str, int | None, Floats]]]
-"""A term in some channels, with the name, channel and column (N,) of each of its sizes."""
+TermColumns = tuple[DictionaryTerm, int | None, Floats]
+"""A term in one channel, or in all (None), with the columns (k, N) of its k sizes."""
 
 
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
-    """Yield each term for single channels and for all channels, with columns (N,) of plausible sizes.
+    """Yield each term for single channels and for all channels, with columns (k, N) of plausible sizes.
 
     Terms of the stand or the head are for all channels; terms that change no row are left out.
     """
     terms = list(_terms(linear))
-    for term, sizes in zip(terms, _columns(linear, terms), strict=True):
-        shown = np.any([size.shown for size in sizes], axis=0).tolist()
+    for term, changes in zip(terms, _changes(linear, terms), strict=True):
+        shown = [bool(of_channel.any()) for of_channel in np.swapaxes(changes, 0, 1)]
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
-                each = (size.of_channels[channel] for size in sizes)
-                yield term, (channel,), [(n, channel, one) for n, one in zip(SIZE_NAMES, each, strict=False)]
+                yield term, channel, changes[:, channel]
         if any(shown):
-            yield (
-                term,
-                (0, 1, 2),
-                [(n, None, size.of_all) for n, size in zip(SIZE_NAMES, sizes, strict=False)],
-            )
-
-
-class SizeColumns(NamedTuple):
-    """Changes of the rows by one plausible size, by channel and together; `shown`: channels that change."""
-
-    of_channels: Floats
-    of_all: Floats
-    shown: Mask
+            yield term, None, changes.sum(axis=1)
 
 
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
-def _columns(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[list[SizeColumns]]:
-    columns: list[list[SizeColumns]] = [[] for _ in terms]
-    of_courses: dict[TimeCourse, list[Floats]] = {}
-    values_of = _values_of(linear)
+def _changes(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[Floats]:
+    """Return the changes (k, channels, N) of the rows by plausible sizes of the k amplitudes of each term."""
+    found: dict[int, Floats] = {}
+    values_of = cache(_values_of(linear))
     places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
     for number, term in enumerate(terms):
         if term.course is None:
-            columns[number] = list(_each_size(np.stack(list(_of_effect(linear, term)))))
-            continue
-        if term.course not in of_courses:
-            of_courses[term.course] = values_of(term.course)
-        added = [(number, term.unit.plausible * course) for course in of_courses[term.course]]
-        places.setdefault((term.stage, term.adds_to, term.in_proportion), []).extend(added)
+            found[number] = np.stack(list(_of_effect(linear, term)))
+        else:
+            one = number, term.unit.plausible * values_of(term.course)
+            places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(one)
     for (stage, adds_to, in_proportion), added in places.items():
         for start in range(0, len(added), CHUNK):
             numbers, courses = zip(*added[start : start + CHUNK], strict=True)
-            changes = linear.stage_columns(
-                np.stack(courses, axis=1), stage, adds_to, in_proportion=in_proportion
+            added_there = linear.stage_columns(
+                np.concatenate(courses).T, stage, adds_to, in_proportion=in_proportion
             )
-            for number, size in zip(numbers, _each_size(changes.transpose(1, 2, 0).copy()), strict=True):
-                columns[number].append(size)
-    return columns
-
-
-def _each_size(changes: Floats) -> Iterator[SizeColumns]:
-    """Yield the columns of each of k amplitudes; `changes` are (k, channels, N)."""
-    yield from map(SizeColumns, changes, changes.sum(axis=1), np.asarray(changes.any(axis=2)))
+            changes = np.ascontiguousarray(added_there.transpose(1, 2, 0))
+            stops = np.cumsum([*map(len, courses)]).tolist()
+            own = (changes[stop - len(of) : stop] for of, stop in zip(courses, stops, strict=True))
+            found.update(zip(numbers, own, strict=True))
+    return [found[number] for number in range(len(terms))]
 
 
 def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
@@ -198,20 +181,21 @@ def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
         yield linear.stage_columns(applied, term.stage)[:, 0].T
 
 
-def _values_of(linear: LinearSystem) -> Callable[[TimeCourse], list[Floats]]:
-    """Return a function for the values (n,) of the formulas of a course; they are 0 in a reading that has none."""
+def _values_of(linear: LinearSystem) -> Callable[[TimeCourse], Floats]:
+    """Return a function for the values (k, n) of the k formulas of a course; a reading that has none gets 0."""
     conditions = linear.conditions
     seen = Seen(conditions.angle_rad, conditions, linear.block)
     variables = {name: of(seen) for name, of in variables_of(Stage.HEAD_ANGLE).items()}
 
-    def values_of(course: TimeCourse) -> list[Floats]:
+    def values_of(course: TimeCourse) -> Floats:
         names = variables | {p.name: np.asarray(p.default) for p in course.constants}
         reading = ValueReading(names, lambda of, lag: lagged(of, conditions.elapsed_s, float(lag)))
+        values = np.empty((len(course.expressions), len(conditions)))
         with np.errstate(all="ignore"):
-            found = [
-                np.broadcast_to(interpret(text, reading), len(conditions)) for text in course.expressions
-            ]
-        return [np.where(np.isfinite(values), values, 0.0) for values in found]
+            for own, text in zip(values, course.expressions, strict=True):
+                own[:] = interpret(text, reading)
+        values[~np.isfinite(values)] = 0.0
+        return values
 
     return values_of
 

@@ -15,6 +15,7 @@ from bench.diagnosis.candidates import Candidates, make_candidates
 from bench.diagnosis.evidence import Whitened
 from bench.diagnosis.linear import LinearSystem, make_linear
 from bench.diagnosis.noise_grid import NoiseGrid, make_noise_grid
+from bench.diagnosis.residual_dictionary import SIZE_NAMES
 from bench.model import AppliedEffect, ForwardModel, Installation
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2
 from bench.readings.table import Readings, make_readings
@@ -122,10 +123,10 @@ def set_up(readings: Readings, model: ForwardModel = MODEL, sigma: float = NOISE
 
 def columns_by_model(listed: Any, system: Any) -> Iterator[tuple[Floats, Floats]]:
     """Yield each column of the dictionary term `listed`, and the forward model's column of equal size."""
-    term, _, sizes = listed
-    effect = term.effect("one", per_channel=sizes[0][1] is not None)
+    term, channel, columns = listed
+    effect = term.effect("one", per_channel=channel is not None)
     values = {p.name: np.asarray(p.default) for p in effect.parameters if p.is_shape}
-    for parameter, channel, column in sizes:
+    for parameter, column in zip(SIZE_NAMES, columns, strict=False):
         size = term.unit.plausible
         one = np.asarray(size) if channel is None else size * np.eye(3)[channel]
         yield column, system.effect_column(AppliedEffect(effect, {**values, parameter: one}))

@@ -93,6 +93,8 @@ class GrossSearch:
         better.
         """
         table = OrientedRows.of(readings)
+        if not self._may_be_wrong(table, table.every, _enough(())):
+            return None  # no number of suppositions makes one of them likely
         maps = suppositions(table, units=self.nominal is not None)
         found = self._likeliest(table, maps, table.every)
         if found is None:

@@ -135,7 +135,7 @@ class Table:
         unit = max(float(np.median(np.abs(self.left))), self.unit)
         for _ in range(2):
             table = replace(self, unit=unit)
-            seen = table.seen(RATIOS[2], [table.points])
+            seen = table.seen(RATIOS[2], [self.points])
             size = seen.pulls**2 / np.maximum(np.diagonal(seen.blocks, axis1=1, axis2=2), 1e-9)
             told = np.diagonal(seen.blocks, axis1=1, axis2=2) > 0.05
             if not told.any():
@@ -159,14 +159,14 @@ class Table:
         """The number of signals minus that of the coefficients."""
         return self.left.size - FIXED
 
-    @property
+    @cached_property
     def turn(self) -> Ints:
         """The number (n,) of the pass of each reading, from 0, counted over all mountings."""
         conditions = self.problem.conditions
         key = np.stack([conditions.mount, conditions.pass_number], axis=1)
         return np.unique(key, axis=0, return_inverse=True)[1].ravel()
 
-    @property
+    @cached_property
     def deflection(self) -> Floats:
         """The predicted signals minus the biases, (n, 3), for the coefficients of `block`."""
         return np.asarray(self.problem.predict(self.block, self.problem.prior_mean) - self.block.U0)
@@ -219,14 +219,16 @@ class Table:
         group = np.unique(key, axis=0, return_inverse=True)[1].ravel()
         return per_channel(group[:, None] == np.unique(group)[np.bincount(group) > 1])
 
-    def changes(self) -> Iterator[tuple[Mask | None, Floats]]:
-        """Yield unit changes of the bench that may resemble wrong readings, as columns (n, 3, p).
+    def changes_of_passes(self) -> Iterator[tuple[Mask, Floats]]:
+        """Yield the mask (n,) of each of several passes, and unit changes of the bench in it (`of_pass`)."""
+        passes = np.unique(self.turn)
+        for rows in (self.turn == number for number in passes if len(passes) > 1):
+            yield rows, self.of_pass(rows)
 
-        Before the columns comes the mask (n,) of the pass that changes; it is None if all passes change, or if
-        there is only one.
-        """
+    def changes_of_run(self) -> Iterator[Floats]:
+        """Yield unit changes of the bench in all passes that may resemble wrong readings, as columns (n, 3, p)."""
         if self.points.shape[2]:
-            yield None, self.points
+            yield self.points
         conditions, deflection = self.problem.conditions, self.deflection
         time = conditions.elapsed_s - conditions.elapsed_s.min()
         course = [np.exp(-time / tau) for tau in shapes("warm_up", "tau")]
@@ -235,11 +237,10 @@ class Table:
             course.append(conditions.warmth_k / float(np.max(np.abs(conditions.warmth_k))))
         unit = deflection / np.max(np.abs(deflection))
         slow = [per_channel(np.stack(course, axis=1)), *(scaled(unit, one) for one in course[-2:])]
-        yield None, np.concatenate(slow, axis=2)
-        passes = np.unique(self.turn)
-        for rows in (self.turn == number for number in passes):
-            yield rows if len(passes) > 1 else None, self.of_pass(rows)
-        yield from ((None, columns) for columns in _hysteresis(self.problem, self.block))
+        yield np.concatenate(slow, axis=2)
+        if not self.turn.any():
+            yield self.of_pass(self.turn == 0)
+        yield from _hysteresis(self.problem, self.block)
 
     def of_pass(self, rows: Mask) -> Floats:
         """Return a bias, a gain and a rotation of the block in the rows of the mask (n,), as columns (n, 3, 9)."""

@@ -89,7 +89,8 @@ class TermSearch:
         this pass explains it. The result is empty if too many readings would be wrong.
         """
         table, n = self.table, len(self.signal)
-        changes = list(table.changes())
+        changes: list[tuple[Mask | None, Floats]] = list(table.changes_of_passes())
+        of_run = table.changes_of_run()  # seldom needed, therefore computed late
         known: list[Floats] = []
         rows: list[int] = []
         enough = -float(np.log(significance))
@@ -97,12 +98,15 @@ class TermSearch:
             beside = _Beside.of(table, [*known, *(_error(n, row) for row in rows)])
             of_rows = np.where(np.isin(np.arange(n), rows), -np.inf, beside.of_readings())
             best = int(np.argmax(of_rows))
-            in_passes = [columns for rows_of, columns in changes if rows_of is not None]
-            if max([of_rows[best], *map(beside.of_group, in_passes)]) < enough:
+            odds = [beside.of_group(columns) for _, columns in changes]
+            of_passes = [of for of, (rows_of, _) in zip(odds, changes, strict=True) if rows_of is not None]
+            if max([of_rows[best], *of_passes]) < enough:
                 break
-            of_changes = [beside.of_group(columns) for _, columns in changes]
-            if max(of_changes, default=-np.inf) > of_rows[best]:
-                in_pass, columns = changes.pop(int(np.argmax(of_changes)))
+            late = [(None, columns) for columns in of_run]
+            odds += [beside.of_group(columns) for _, columns in late]
+            changes += late
+            if max(odds, default=-np.inf) > of_rows[best]:
+                in_pass, columns = changes.pop(int(np.argmax(odds)))
                 wrong = None if in_pass is None else self._of_pass(in_pass)
                 if wrong is not None:
                     return [wrong]
