@@ -485,9 +485,9 @@ BENCH_FILE: Final = message("the bench file")
 class NoiseFinding:
     """Noise that is significantly larger than the bench file or the samples (`source`) state.
 
-    `what` is "reading", "slow" (a reading with its slow noise) or "setting". `found` and `stated` are standard deviations in `unit`, and `factor` is their
-    ratio. The p-value `p` is corrected for the number of runs. `series` are those of the run with this noise
-    (empty: all).
+    `what` is "reading", "slow" (a reading with its slow noise) or "setting". `found` and `stated` are standard
+    deviations in `unit`, and `factor` is their ratio. The p-value `p` is corrected for the number of runs. `series`
+    are those of the run with this noise (empty: all).
     """
 
     what: str
