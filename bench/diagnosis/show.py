@@ -122,19 +122,27 @@ def show(
     """Return simulations of the bench with the model, and with the effects `added` to it.
 
     `stand_u` is as in `diagnose`; `g_m_s2` is local gravity, m/s². The effects `added` are estimated again without
-    their u as priors. `in_part`, their possible parts of other shapes, keep their u as priors. `slow` (n, 3, k) are
-    signals of one standard deviation of slow noise; the u of the coefficients includes them, unless the calibration
-    finds a drift itself. The u with the effects includes `by_ties` (k, 12), the result of `shifts_by_ties`. Raises
-    `CalibrationError` if the readings do not determine the coefficients.
+    their u as priors; sizes that they lack are 0 with their plausible size as prior u. `in_part`, their possible
+    parts of other shapes, keep their u as priors. `slow` (n, 3, k) are signals of one standard deviation of slow
+    noise; the u of the coefficients includes them, unless the calibration finds a drift itself. The u with the
+    effects includes `by_ties` (k, 12), the result of `shifts_by_ties`. Raises `CalibrationError` if the readings do
+    not determine the coefficients.
     """
     stand = {name: u for name, u in stand_u.items() if name != "setting_error"}
     before = _simulate(readings, model, stand, g_m_s2, slow, None)
     if not added:
         return ModelComparison(before, None)
-    fresh = tuple(replace(one, u={}) for one in added)
+    fresh = tuple(replace(one, u=dict(_lacking(one))) for one in added)
     names = " + ".join(dict.fromkeys(label(one) for one in added))
     extended = replace(model, effects=(*model.effects, *fresh, *in_part), name=f"{model.name} + {names}")
     return ModelComparison(before, _simulate(readings, extended, stand, g_m_s2, slow, by_ties))
+
+
+def _lacking(found: AppliedEffect) -> Iterator[tuple[str, Floats]]:
+    """Yield name and plausible size, SI, of each size of an effect that the diagnosis did not find."""
+    for p in found.effect.parameters:
+        if p.is_size and p.name not in found.values:
+            yield p.name, np.full(3 if p.per_channel else (), p.plausible)
 
 
 def label(applied: AppliedEffect) -> str:

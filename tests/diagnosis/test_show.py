@@ -100,6 +100,18 @@ def test_a_known_effect_keeps_what_is_known_and_a_new_one_is_estimated_anew():
     assert label(AppliedEffect(CATALOGUE["backlash"], {})) == "backlash"
 
 
+def test_what_an_effect_found_lacks_is_at_most_plausible():
+    """Of a tilt of the foundation across the axis alone, the tilt along it would open a coefficient."""
+    tilt = CATALOGUE["foundation_tilt"]
+    shape = {p.name: np.array(p.grid[-1]) for p in tilt.parameters if p.grid}
+    across = {name: np.array(1e-4) for name in ("across_cosine", "across_sine")}
+    shown = show(paper_run(np.random.default_rng(5)), MODEL, (AppliedEffect(tilt, shape | across),), STAND, G)
+    (found,) = shown.after.effects
+    plausible = {p.name: p.plausible for p in tilt.parameters}
+    assert all(0.0 < found.u[name] <= plausible[name] for name in ("cosine", "sine"))
+    assert max(shown.after.calibration.u / shown.before.calibration.u) < 3.0
+
+
 def test_an_effect_that_only_verification_points_show_lets_them_take_part():
     readings = paper_run(np.random.default_rng(6))
     roll = AppliedEffect(CATALOGUE["mounting_roll"], {"angle": np.zeros(())}, installations=("1",))
