@@ -276,7 +276,7 @@ ARITHMETIC: Final = (
     edit("closed form off by 1e-6", "closed-form", REF, "bench.calibration.closed_form:closed_form",
          "(2 * (1 + root2))", "(2 * (1 + root2) * (1 + 1e-6))"),
     edit("scale without g", "free", REF, "bench.calibration.free:triangular", "g_m_s2 * scale", "scale"),
-    edit("modulus off by 100 ppm", "free|accelerometers", REF, "bench.calibration.free:modulus_rows",
+    edit("modulus off by 100 ppm", "free|accelerometers", REF, "bench.calibration.free:_moduli",
          "1.0 - np.linalg.norm", "1.0001 - np.linalg.norm"),
     edit("u halved", "bench/calibration", STAT, "bench.calibration.calibrate:calibrate",
          "birge**2 * fit.covariance", "birge**2 * 0.25 * fit.covariance"),

@@ -116,11 +116,12 @@ def form_marks(one: Record) -> Marks:
     """Return the marks of a model's effect on the coefficients of a new day.
 
     The time at which a drift counts as zero affects only the biases. A confounded name is in the model only because
-    the trial accepts the first one; the cases without it are counted again as unforced.
+    the trial accepts the first one; the cases without it are counted again as unforced, and those in which the
+    program added a form as form added.
     """
     if "new_day" not in one:
         return {"model file": False}
-    unforced = one["verdict"] != "confounded"
+    unforced, added = one["verdict"] != "confounded", one["verdict"] == "unknown"
     before, after = (np.abs(one["new_day"][when]) for when in ("before", "after"))
     worse = after > before + 1
     better = bool(np.sum(after**2) < np.sum(before**2))
@@ -131,6 +132,8 @@ def form_marks(one: Record) -> Marks:
         "K worse by more than u": bool(worse[:9].any()),
         "unforced, better": better if unforced else None,
         "unforced, worse by more than u": bool(worse.any()) if unforced else None,
+        "form added, better": better if added else None,
+        "form added, worse by more than u": bool(worse.any()) if added else None,
     }
 
 

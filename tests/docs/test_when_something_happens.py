@@ -38,13 +38,13 @@ instruments absent at start or resume
     run/test_runner.py test_every_absent_instrument_is_named_at_once
     run/test_way_out.py test_instruments_that_were_opened_before_one_failed_are_let_go
     run/test_runner.py test_resumed_with_the_instruments_still_off_a_run_stays_as_it_was
-    run/test_campaigns.py test_no_record_is_lost_whatever_is_done
+    run/test_disturbed_runs.py test_no_record_is_lost_whatever_is_done
 power cut of the computer, SIGKILL
     run/test_runner.py test_stopped_at_the_task_to_mount_it_asks_for_that_mounting_and_not_for_the_one_before
     run/test_signals.py test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been
     cli/test_answers.py test_answers_from_two_places_and_a_kill_change_nothing
 Ctrl-C once, closed terminal (SIGHUP), SIGTERM
-    run/test_campaigns.py test_the_bench_is_left_safe_at_every_signal
+    run/test_disturbed_runs.py test_the_bench_is_left_safe_at_every_signal
     run/test_way_out.py test_a_terminal_that_cannot_be_written_to_any_more_stops_no_run
     run/test_signals.py test_hit_by_a_signal_killed_and_resumed_it_ends_as_if_nothing_had_been
     run/test_left_safe.py test_every_way_out_leaves_the_bench_safe
