@@ -485,9 +485,9 @@ BENCH_FILE: Final = message("the bench file")
 class NoiseFinding:
     """Noise that is significantly larger than the bench file or the samples (`source`) state.
 
-    `what` is "reading", "slow" (a reading with its slow noise) or "setting". `found` and `stated` are standard
-    deviations in `unit`, and `factor` is their ratio. The p-value `p` is corrected for the number of runs. `series`
-    are those of the run with this noise (empty: all).
+    `what` is "reading", "slow" (a reading with its slow noise, if white noise alone is no finding) or "setting".
+    `found` and `stated`, in `unit`, are standard deviations; `factor` is their ratio. The p-value `p` of "reading"
+    is corrected for the number of runs. `series` are those of the run with this noise (empty: all).
     """
 
     what: str
@@ -524,16 +524,19 @@ def noise_findings(
     digit: float = 0.0,
     by_run: RunSizes | None = None,
     slow: Floats | None = None,
+    by_channel: Floats | None = None,
 ) -> tuple[NoiseFinding, ...]:
     """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
 
     `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file. `typical_slope` is in the
     unit of the signal per rad; `digit` is the step of the last digit. With `by_run`, each run has its own noise.
-    `slow` (n, 3, k) is one standard deviation of each component of slow noise found, unit of the signal.
+    `slow` (n, 3, k) is one standard deviation of each component of slow noise found, unit of the signal;
+    `by_channel` (3,) is the relative noise of the channels beside it (None: equal).
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
-    if slow is not None:
-        found += _with_slow(noise, readings, stand_u, digit, slow)
+    if slow is not None and by_run is None:
+        white = noise.reading * (np.ones(3) if by_channel is None else by_channel)
+        found += _with_slow(white, readings, stand_u, digit, slow)
     setting = stand_u.get("setting_error", 0.0)
     if setting > 0.0:
         along = [noise.reading**2 + (size * typical_slope) ** 2 for size in (noise.setting_rad, setting)]
@@ -541,7 +544,9 @@ def noise_findings(
         p = float(special.chdtrc(freedom, freedom * along[0] / along[1]))
         size, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
         found.append(NoiseFinding("setting", size, limit, "arcsec", size / limit, p, BENCH_FILE))
-    return tuple(one for one in found if one.factor > LARGER and one.p < HARDLY_EVER)
+    larger = [one for one in found if one.factor > LARGER and one.p < HARDLY_EVER]
+    white_alone = any(one.what == "reading" for one in larger)
+    return tuple(one for one in larger if not (white_alone and one.what == "slow"))
 
 
 def _of_readings(
@@ -564,13 +569,15 @@ def _of_readings(
 
 
 def _with_slow(
-    noise: NoiseSize, readings: Readings, stand_u: Mapping[str, float], digit: float, slow: Floats
+    white: Floats, readings: Readings, stand_u: Mapping[str, float], digit: float, slow: Floats
 ) -> Iterator[NoiseFinding]:
-    """Yield the finding on readings of the channel with most slow noise, which has few degrees of freedom."""
+    """Yield the finding on the noisiest channel, if it has slow noise; `white` (3,) is the other noise of each."""
     for size, known, source in sorted(_stated(readings, stand_u, digit / np.sqrt(12.0)))[-1:]:
         square = np.mean(slow[readings.is_oriented] ** 2, axis=0)
-        channel = int(np.argmax(square.sum(axis=1)))
-        found = math.hypot(noise.reading, math.sqrt(float(square[channel].sum())))
+        channel = int(np.argmax(white**2 + square.sum(axis=1)))
+        if not square[channel].any():
+            return
+        found = math.hypot(float(white[channel]), math.sqrt(float(square[channel].sum())))
         freedom = float(square[channel].sum() ** 2 / np.sum(square[channel] ** 2))
         p = float(special.fdtrc(freedom, min(known, 1e9), (found / size) ** 2))
         yield NoiseFinding("slow", found, size, readings.unit, found / size, p, source)

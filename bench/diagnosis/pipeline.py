@@ -110,8 +110,8 @@ def diagnose(
     estimated, weak = _confirmed(prepared, naming)
     linear, whitened, noise, naming = prepared.linear, prepared.whitened, estimated.noise, estimated.naming
     kinds = tuple(noise_kinds(linear, noise, digit, prepared.chosen))
-    stated = linear.readings, stand_u, linear.typical_slope, digit
-    findings = noise_findings(noise, *stated, linear.by_run, _slow(linear))
+    stated = mistakes.corrected, stand_u, linear.typical_slope, digit
+    findings = noise_findings(noise, *stated, linear.by_run, _slow(linear), linear.by_channel)
     effects, far = _with_far(prepared, estimated)
     ratio, repeats = RATIOS.index(near_ratios(linear, noise)[1]), prepared.repeats
     sizes = detectable(whitened, prepared.limit, ratio)

@@ -44,8 +44,9 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
 class Noise:
     """White noise of `variance`, V², plus slow noise of one kind, over n means.
 
-    The mean variance of the slow noise is `ratio` times `variance`; `slow` (n,) and `vectors` (n, n) are
-    eigenvalues and eigenvectors of its covariance, for a mean variance of 1.
+    Both are noises of the signals divided by their relative white noise. `slow` (n,) and `vectors` (n, n) are
+    eigenvalues and eigenvectors of the slow noise's covariance; in the signals its mean variance is `ratio` times
+    `variance`.
     """
 
     slow: Floats

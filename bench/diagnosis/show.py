@@ -43,8 +43,8 @@ class Simulation:
 
     `calibration` has the estimates; `effects` are those of the model, with values and u estimated here.
     `test` compares the readings with a simulation without noise. `points` are the errors at verification
-    points. The fit includes these points (`joined`) only if the others hardly determine an effect; otherwise
-    they are independent of it. `repeat` computes `repeated`.
+    points. The fit includes these points (`joined`) only if they determine an effect that the others hardly
+    determine; otherwise they are independent of it. `repeat` computes `repeated`.
     """
 
     model: ForwardModel

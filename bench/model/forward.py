@@ -166,14 +166,12 @@ class Stages:
         self.readings = self._read(self._voltage_v)
 
     def of(self, block: Block) -> Floats:
-        """Return the readings in V, shape (n, 3), of another block at the same specific force.
-
-        `voltage_v` is left out of account.
-        """
+        """Return the readings in V, shape (n, 3), of another block at the same specific force."""
         conditions, own = self._given
         same = np.array_equal(np.diag(block.K), np.diag(own.K))  # all that effects see of a block
         added = self._in_output if same else self.model.added_to_output(self._force, conditions, block)
-        return self.model.voltmeter_readings(block.output(self._force) + added, conditions, block)
+        voltage_v = _unless_known(self._known_v, block.output(self._force) + added)
+        return self.model.voltmeter_readings(voltage_v, conditions, block)
 
     def instead(self, old: AppliedEffect | None, new: AppliedEffect) -> Floats:
         """Return the readings in V, shape (n, 3), after the effect `new` replaces the effect `old`.

@@ -180,7 +180,7 @@ def test_the_two_digits_of_a_small_risk_of_several_points_are_right():
     inside = stats.multivariate_normal.cdf(
         300 - value, cov=covariance, lower_limit=-300 - value, rng=1, abseps=1e-7, maxpts=4_000_000
     )
-    assert probability_one_outside(value, covariance, 300.0) == pytest.approx(1 - inside, abs=2e-4)
+    assert probability_one_outside(value, covariance, 300.0) == pytest.approx(1 - inside, abs=1e-4)
 
 
 def test_what_is_common_to_all_points_counts_once():

@@ -19,7 +19,7 @@ from bench.diagnosis.evidence import (
 )
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import ALIAS, Scored, in_place, named_again, needed
-from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, noise_findings
+from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, NoiseFinding, noise_findings
 from bench.diagnosis.posterior import NoiseSize
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import FREE, SHORTED
@@ -414,4 +414,13 @@ def test_slow_noise_counts_as_noise_of_a_reading():
     assert (found.what, found.source) == ("slow", BENCH_FILE)
     assert found.found == pytest.approx(np.hypot(15e-6, np.sqrt(10) * 10e-6))
     assert found.p == pytest.approx(chi2.sf(10 * found.factor**2, 10), rel=1e-6)
+    quiet = np.array([1.5, 0.6, 0.6])  # z is less noisy than x
+    (found,) = noise_findings(noise, readings, stated, 2.2, slow=slow, by_channel=quiet)
+    assert found.found == pytest.approx(np.hypot(9e-6, np.sqrt(10) * 10e-6))
+    loud = noise_findings(NoiseSize(60e-6, 0.0, 150), readings, stated, 2.2, slow=slow)
+    assert [one.what for one in loud] == ["reading"]
+
+
+def test_slow_noise_is_named_in_words():
+    found = NoiseFinding("slow", 35e-6, 15e-6, "V", 35 / 15, 1e-8, BENCH_FILE)
     assert "slow noise included, is 35 µV, 2.3 times the 15 µV" in found.words

@@ -168,14 +168,16 @@ def test_rows_of_all_kinds_in_the_order_of_measurement():
     conditions = Conditions.of(["1", "S", "F", "1"], [0.5, np.nan, np.nan, 0.8])
     free = np.array([0.6, 0.0, 0.8])
     nothing = np.full(3, np.nan)
-    got = Stages(
+    stages = Stages(
         model,
         BLOCK,
         conditions,
         np.zeros((3, 5)),
         force=np.stack([nothing, nothing, free, nothing]),
         voltage_v=np.stack([nothing, np.zeros(3), nothing, nothing]),
-    ).readings
+    )
+    got = stages.readings
+    np.testing.assert_array_equal(stages.of(BLOCK), got)
     settings = plain.readings(BLOCK, Conditions.of(["1"] * 2, [0.5, 0.8]), np.zeros((1, 5)))
     u = np.stack([settings[0], np.zeros(3), K @ free + U0, settings[1]])
     scanned = np.concatenate([[u[0, 0]], u.ravel()])

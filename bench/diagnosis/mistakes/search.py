@@ -212,14 +212,18 @@ def _gross_mistake(gross: GrossMistake) -> Mistake:
     here = supposition.channels, str(supposition.scope)
     same = [other for other in gross.equal if other.name == supposition.name]
     elsewhere = [
-        f"of {', '.join(other.channels)} {other.scope}" if other.channels != here[0] else str(other.scope)
+        f"the same of {', '.join(other.channels)} {other.scope}"
+        if other.channels != here[0]
+        else f"the same {other.scope}"
+        if str(other.scope) != here[1]
+        else f"this: {other.words.split(';')[0]}"
         for other in same
-        if (other.channels, str(other.scope)) != here
+        if other.words != supposition.words
     ]
     also = [
         f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
     ]
-    also += [f"the same {where}" for where in elsewhere]
+    also += elsewhere
     alike = f"; these readings cannot separate it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
