@@ -229,9 +229,8 @@ class Mover:
                 self._axis.stop()
             except Exception as failed:
                 error.add_note(
-                    message(
-                        f"the stop of {self._name} is not confirmed, {SEE_IT_STANDS} (cause: {why_failed(failed)})"
-                    )
+                    f"{self._name}: {message('its stop is not confirmed')}; {SEE_IT_STANDS}. "
+                    f"{message(f'Cause: {why_failed(failed)}')}"
                 )
             raise
 

@@ -124,9 +124,11 @@ _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", 
 _SURE, _SHORT = 5, 60
 """In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)")
-_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])")
+_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: ")
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
+_TYPED: Final = re.compile(r"'bench [^']*'|: bench .*|kept in \{\d+\}")
+"""The parts of an entry whose blanks are to be typed, a command and a path: their values stay as they are."""
 
 
 @dataclass(frozen=True)
@@ -237,8 +239,9 @@ class Catalogue:
                 return separator.join(map(self.translate, parts))
         if (end := _SENTENCE_END.search(text)) is not None:  # the rest may be an entry of several sentences
             return f"{self.translate(text[: end.start()])} {self.translate(text[end.end() :])}"
-        if (around := _AROUND.fullmatch(text)) is not None and around[2] != text:
-            return around[1] + self.translate(around[2], context) + around[3]
+        before, inner, after = _around(text)
+        if inner != text:
+            return before + self.translate(inner, context) + after
         for joint in ("; ", ": ", ", "):
             parts = text.split(joint)
             if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
@@ -282,10 +285,35 @@ class Catalogue:
                 ):
                     continue
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
+                    typed = _typed(entry.english)
                     return self.fill(
-                        entry, {name[1:]: self.translate(value) for name, value in values.items()}
+                        entry,
+                        {
+                            name[1:]: value if name[1:] in typed else self.translate(value)
+                            for name, value in values.items()
+                        },
                     )
         return None
+
+
+def _around(text: str) -> tuple[str, str, str]:
+    """Return the signs before a text, the text, and the signs after it.
+
+    A bracket that opens in the text also closes in it.
+    """
+    found = _AROUND.fullmatch(text)
+    if found is None:
+        return "", text, ""
+    before, inner, after = found.groups()
+    if inner.count("(") > inner.count(")") and ")" in after:
+        end = after.index(")") + 1
+        inner, after = inner + after[:end], after[end:]
+    return before, inner, after
+
+
+def _typed(english: str) -> set[str]:
+    """Return the numbers of an entry's blanks that are part of a command or path to type."""
+    return {number for part in _TYPED.findall(english) for number in _BLANK.findall(part)}
 
 
 def _letters(entry: Entry) -> int:

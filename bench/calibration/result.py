@@ -17,7 +17,11 @@ from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
 
 
-class SpoiledFit(CalibrationError):
+class WrongReadings(CalibrationError):
+    """The readings, not the procedure, are the reason for a missing calibration."""
+
+
+class SpoiledFit(WrongReadings):
     """The error of a fit that a few wrong readings may have spoiled; `args` are the problem and advice."""
 
     def __str__(self) -> str:

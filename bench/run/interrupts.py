@@ -136,8 +136,10 @@ class Interrupts:
 
 def stopped_by() -> str:
     """Return in words which signal stopped the program; if none was received, name Ctrl-C."""
+    from drivers.interfaces import message  # with dataclasses, which take long to import
+
     name = signal.Signals(Interrupts.heard or signal.SIGINT).name
-    return f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}"
+    return message(f"stopped by {'Ctrl-C' if name == 'SIGINT' else name}")
 
 
 def _unheard(number: int, frame: FrameType | None) -> None:

@@ -518,8 +518,8 @@ def confirm(person: Person, prompt: Prompt) -> None:
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
     raise BenchError(
         "operator",
-        f"answered no several times to: {prompt.text}",
-        "do what the question asks, then resume the run",
+        message(f"answered no several times to: {prompt.text}"),
+        message("do what the question asks, then resume the run"),
     )
 
 
@@ -527,7 +527,9 @@ def agree(person: Person, prompt: Prompt) -> None:
     """Ask for permission to continue. Raises `BenchError` if the person answers no, and the errors of `ask`."""
     if ask(person, prompt).lower() in NO:
         raise BenchError(
-            "operator", f"answered no to: {prompt.text}", "remove the reason, then start or resume again"
+            "operator",
+            message(f"answered no to: {prompt.text}"),
+            message("remove the reason, then start or resume again"),
         )
 
 

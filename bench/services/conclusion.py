@@ -16,7 +16,7 @@ from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import Statement
-from bench.calibration.result import SpoiledFit
+from bench.calibration.result import SpoiledFit, WrongReadings
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.readings.csv import format_csv, read_csv
 from bench.results.calibration import fit_in_a_line
@@ -48,8 +48,9 @@ class Conclusion:
 
     `looks` are sentences on early warnings. `short` is true if the run ended without reaching its goals.
     `no_calibration` and `no_chart` are the reasons for a missing calibration or chart. `spoiled` is true if wrong
-    readings, not the procedure, are the reason for a missing calibration. Only a run of the check
-    block can have a chart or `no_chart`. `chart_unwritten` is the chart's file, if unwritten, and the reason.
+    readings, not the procedure, are the reason for a missing calibration, and `findable` if a diagnosis can find
+    them. Only a run of the check block can have a chart or `no_chart`. `chart_unwritten` is the chart's file, if
+    unwritten, and the reason.
     """
 
     run: Run
@@ -61,6 +62,7 @@ class Conclusion:
     report: Path | None = None
     no_calibration: str = ""
     spoiled: bool = False
+    findable: bool = False
     chart: CheckBlockChart | None = None
     no_chart: str = ""
     chart_unwritten: str = ""
@@ -136,7 +138,8 @@ def _evaluated(source: Source) -> dict[str, Any]:
     try:
         result = calibration_of(source)
     except CalibrationError as reason:
-        return {"no_calibration": str(reason), "spoiled": isinstance(reason, SpoiledFit)}
+        kind = {"spoiled": isinstance(reason, WrongReadings), "findable": isinstance(reason, SpoiledFit)}
+        return {"no_calibration": str(reason), **kind}
     write_whole(source.output("calibrate", ".json"), to_text(result.to_dict()))
     page, verdict = report_page(result)
     file = source.output("report", ".html")
@@ -250,7 +253,8 @@ def _next(found: Conclusion) -> Iterator[str]:
     again = _run_again(run)
     verification = found.verification
     if found.calibration is None:
-        yield f"next: bench {'diagnose' if found.spoiled or found.looks else 'show'} {name}"
+        diagnosed = found.findable or (found.looks and not found.spoiled)
+        yield f"next: bench {'diagnose' if diagnosed else 'show'} {name}"
     elif (
         not found.calibration.accepted
         or found.calibration.doubts

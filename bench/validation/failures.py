@@ -128,7 +128,7 @@ def _in_record(run: Run) -> Iterator[dict[str, Any]]:
     for event in history.events:
         fault = event.type == EventType.POWER and event.data.get("power") == "fault"
         if event.type in KINDS or fault:
-            words = sentence(event)
+            words = sentence(event).replace("\n", "; ")
             why = event.data.get("error") or event.data.get("reason") or event.data.get("why") or ""
             said = (
                 words if words != event.type else f"{event.type.replace('_', ' ')}: {why}".removesuffix(": ")

@@ -189,7 +189,7 @@ class MessageSession:
                 yield connection
             except BaseException as error:  # after Ctrl-C in an exchange, its reply may arrive late
                 self._give_up()
-                failure = self._failed(when, error, f" at {command}")
+                failure = self._failed(when, error, command)
                 if failure is error:
                     raise
                 raise failure from error
@@ -254,11 +254,13 @@ class MessageSession:
         if connection is not None:
             connection.close()
 
-    def _failed(self, when: str, error: BaseException, at: str = "") -> BaseException:
+    def _failed(self, when: str, error: BaseException, command: str = "") -> BaseException:
         """Log a failure with its phase `when`; return it, or for a foreign `Exception` an `InstrumentLost`."""
         if isinstance(error, Exception) and not isinstance(error, BenchError):
             cause, remedy = probable_cause(error)
-            error = InstrumentLost(self.name, f"{cause.replace('{0}', self.resource)}{at}", remedy)
+            cause = cause.replace("{0}", self.resource)
+            cause = message(f"{cause}, at the command {command}") if command else cause
+            error = InstrumentLost(self.name, cause, remedy)
         why = f": {error.cause}; {error.remedy}" if isinstance(error, BenchError) else ""
         self._log("!", f"{when}: {type(error).__name__}{why}")
         return error
@@ -302,7 +304,14 @@ class MessageSession:
                 data += chunk
             if not chunk:
                 self._log("<", _text(data))
-                raise self._closed(f"at {command}" + (f" after {_shown(_text(data))}" if data else ""))
+                raise self._closed(
+                    message(f"{self.resource} closed the connection at the command {command}")
+                    if not data
+                    else message(
+                        f"{self.resource} closed the connection at the command {command}, "
+                        f"after {_shown(_text(data))}"
+                    )
+                )
             if more:
                 self._log("<", _text(data))
                 raise BadReading(
@@ -354,10 +363,10 @@ class MessageSession:
             message("try again, and if the fault returns, check cable and terminations"),
         )
 
-    def _closed(self, when: str) -> InstrumentLost:
+    def _closed(self, cause: str) -> InstrumentLost:
         return InstrumentLost(
             self.name,
-            message(f"{self.resource} closed the connection {when}"),
+            cause,
             message("check that the instrument is on and nobody else uses it, then repeat this step"),
         )
 
@@ -367,7 +376,7 @@ class MessageSession:
             return
         data, _ = connection.take()
         if not data:
-            raise self._closed(f"before {command}")
+            raise self._closed(message(f"{self.resource} closed the connection before {command}"))
         self._log("<", _text(data).rstrip("\r\n"))
         raise BadReading(
             self.name,

@@ -52,8 +52,18 @@ STANDS = "check that it stands still, and if not, press its emergency stop"
         "touched it since? If somebody has, mount it again now and answer 'mounted again'",
         f"failed, tried again: {REFUSED}",
         f"{REFUSED}; 1 reading is kept in RUN; resume with 'bench resume RUN'",
-        "head: no reading within 0°00′30″ of 45°00′00″ in 5 attempts (X); check the clamp, the scale and the "
+        "head: no reading within 0°00′30″ of 45°00′00″ in 5 attempts (45°00′40″ is 0°00′40″ above the target, "
+        "outside the 0°00′30″ allowed: turn the head until it agrees.); check the clamp, the scale and the "
         "procedure's angle, then redo this point",
+        "operator: answered no several times to: Mount the block in installation 1, clamp it; do what the "
+        "question asks, then resume the run",
+        "answered no to: Mount the block in installation 1, clamp it; remove the reason, then start or resume "
+        "again",
+        "voltmeter.y: ADDRESS was not found, at the command FETC?; check that the instrument is on and its address "
+        "in the bench file is right",
+        "stopped by SIGTERM; 1 reading is kept in RUN; resume with 'bench resume RUN'",
+        "chamber: it shows 90 °C, which is not plausible (-60 to 85 °C).",
+        f"head: its stop is not confirmed; {STANDS}. Cause: its driver failed with OSError: 5",
         "still to do: chamber: is still conditioning at 25 °C: switch it off by hand. Cause: ADDRESS did not "
         f"answer MON? within 3 s\nstill to do: head: {STANDS}. Cause: its driver failed with OSError: 5",
         "voltmeter.x: the signal of channel x overloads the 10 V range; choose a higher range in the procedure, "
@@ -61,13 +71,22 @@ STANDS = "check that it stands still, and if not, press its emergency stop"
         "head: it stalled at 5°00′00″, sent to 9°00′00″: no progress in 5 s; check the load and that nothing "
         "blocks the head, then repeat this step",
         "redo is not possible: no step is running yet",
-        "voltmeter.y: ADDRESS closed the connection -; check that the instrument is on and nobody else uses it, "
-        "then repeat this step",
+        "voltmeter.y: ADDRESS closed the connection at the command FETC?, after '+1'; check that the "
+        "instrument is on and nobody else uses it, then repeat this step",
     ],
 )
 def test_what_a_halted_run_says_is_translated_clause_by_clause(ukrainian, text):
     assert not re.findall(
         "[a-z]{3,}", translated(text).replace("«bench resume RUN»", "").replace("OSError", "")
+    )
+
+
+@pytest.mark.parametrize("name", ["2026.12", "head"])
+def test_a_command_and_a_path_to_type_stay_as_they_are(ukrainian, name):
+    told = translated(f"interrupted; 7 readings are kept in {name}; resume with 'bench resume {name}'")
+    assert told == f"перервано; 7 показів збережено в {name}; продовжте командою «bench resume {name}»"
+    assert translated(f"Use the model: bench calibrate {name} --model {name}").endswith(
+        f"bench calibrate {name} --model {name}"
     )
 
 

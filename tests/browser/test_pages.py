@@ -8,6 +8,8 @@ from urllib.parse import quote
 
 import pytest
 
+import bench.panel
+from bench.base.languages import catalogue, texts_for_scripts
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.panel.access import STATE, Role, private_folder
@@ -21,6 +23,7 @@ from tests.support.certified_bench import meter_certificate, write_bench
 from tests.support.served_panel import served
 
 RULES = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"]
+TEXTS = Path(bench.panel.__file__).parent / "static" / "texts.js"
 SCRIPT = "<script>document.title='caught'</script>"
 HOSTILE = f"{SCRIPT}<img src=x onerror=document.title='caught'>\x1b[31m\u202egnp.exe ünïcode 日本"
 VIEWED = {
@@ -240,3 +243,20 @@ def test_nothing_is_loaded_from_elsewhere(visit, panel, asked):
         page.wait_for_timeout(100)
     assert asked_for
     assert [url for url in asked_for if not url.startswith(panel.url)] == []
+
+
+def test_a_script_translates_as_the_module_does(chromium):
+    texts = [
+        "chamber: it shows 90 °C, which is not plausible (-60 to 85 °C).",
+        "operator: answered no to: Mount the block in installation 1, clamp it; "
+        "remove the reason, then start or resume again",
+        "voltmeter.y: ADDRESS was not found, at the command FETC?",
+        "Use the model: bench calibrate 2026.12 --model head",
+    ]
+    page = chromium.new_page()
+    page.add_script_tag(content=texts_for_scripts("uk"))
+    page.add_script_tag(path=TEXTS)
+    assert page.evaluate("texts => texts.map(_)", texts) == [
+        catalogue("uk").translate(text) for text in texts
+    ]
+    page.close()

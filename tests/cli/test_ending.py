@@ -9,7 +9,7 @@ import pytest
 
 import bench as face
 from bench.calibration.conformity import Statement
-from bench.calibration.result import SpoiledFit
+from bench.calibration.result import SpoiledFit, WrongReadings
 from bench.run.folder import Run
 from bench.services.conclusion import MOST_LINES, conclude, ending
 from tests.support.commands import printed, refused
@@ -85,16 +85,25 @@ def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
     assert lines[-1] == "next: bench diagnose finished"
 
 
-def test_where_wrong_readings_spoil_the_calibration_the_run_is_not_accepted(concluded, monkeypatch):
+@pytest.mark.parametrize(
+    ("error", "words", "step"),
+    [
+        (WrongReadings, ["the signal of channel x is the same in every reading; check its cable"], "show"),
+        (SpoiledFit, ["the fit did not converge", "find the mistake with 'bench diagnose'"], "diagnose"),
+    ],
+)
+def test_where_wrong_readings_spoil_the_calibration_the_run_is_not_accepted(
+    concluded, monkeypatch, error, words, step
+):
     def spoiled(_):
-        raise SpoiledFit("channel x does not respond", "check its cable")
+        raise error(*words)
 
     monkeypatch.setattr("bench.services.conclusion.calibration_of", spoiled)
     found = conclude(concluded.run)
     assert not found.accepted
-    lines = ending(found)
-    assert lines[0].endswith("no calibration from it: channel x does not respond; check its cable")
-    assert lines[-1] == "next: bench diagnose finished"
+    lines = ending(replace(found, looks=("sign",)))
+    assert lines[0].endswith(f"no calibration from it: {'; '.join(words)}")
+    assert lines[-1] == f"next: bench {step} finished"
 
 
 def test_many_looks_are_shortened(concluded):

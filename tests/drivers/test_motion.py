@@ -146,7 +146,7 @@ def test_a_failure_to_stop_does_not_hide_the_cause() -> None:
     ) as stopped:
         mover.move(45 * DEG, 1)
     (note,) = stopped.value.__notes__
-    assert note.startswith("the stop of head is not confirmed, check that it stands")
+    assert note.startswith("head: its stop is not confirmed; check that it stands still")
     assert "OSError" in note
 
 

@@ -4,6 +4,7 @@ const _ = (() => {
   const told = window.BENCH_TEXTS;
   if (!told) return (text) => text;
   const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 60;
+  const TYPED = /'bench [^']*'|: bench .*|kept in \{\d+\}/g;  // values of blanks in a command or path stay as they are
   const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
   const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}\d]/gu, "").length;
   const patternOf = (text) => {
@@ -13,7 +14,8 @@ const _ = (() => {
       names.push(part);
       return "(.*?)";
     }).join("");
-    return { names, pattern: new RegExp(`^${source}$`, "u") };
+    const typed = new Set((text.match(TYPED) || []).flatMap((one) => [...one.matchAll(/\{(\d+)\}/g)].map((blank) => blank[1])));
+    return { names, typed, pattern: new RegExp(`^${source}$`, "u") };
   };
   const exact = new Map(), filled = [];
   for (const [english, plural, forms] of told.texts) {
@@ -34,12 +36,12 @@ const _ = (() => {
   };
   const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
   const copied = (text, surely = true, clauses = false) => {
-    for (const { names, pattern, forms, sure, first } of filled) {
+    for (const { names, typed, pattern, forms, sure, first } of filled) {
       if ((sure >= SURE) !== surely) continue;
       const found = pattern.exec(text);
-      if (found && !clauses && first && found.slice(1).some((value) => /; |[.?!] (?=[A-Z(])/.test(value))) continue;
+      if (found && !clauses && first && found.slice(1).some((value) => /; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: /.test(value))) continue;
       if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
-      return fill(forms, Object.fromEntries(names.map((name, at) => [name, say(found[at + 1])])));
+      return fill(forms, Object.fromEntries(names.map((name, at) => [name, typed.has(name) ? found[at + 1] : say(found[at + 1])])));
     }
     return null;
   };
@@ -78,7 +80,14 @@ const _ = (() => {
     const end = text.search(/(?<=[.?!]) (?=[A-Z(])/);  // the rest may be an entry of several sentences
     if (end >= 0) return `${say(text.slice(0, end))} ${say(text.slice(end + 1))}`;
     const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
-    if (around && around[2] !== text) return around[1] + say(around[2]) + around[3];
+    if (around) {
+      let [, before, inner, after] = around;
+      if (inner.split("(").length > inner.split(")").length && after.includes(")")) {  // a bracket opened in the text
+        const close = after.indexOf(")") + 1;
+        [inner, after] = [inner + after.slice(0, close), after.slice(close)];
+      }
+      if (inner !== text) return before + say(inner) + after;
+    }
     for (const joint of ["; ", ": ", ", "]) {
       const parts = text.split(joint);
       const whole = parts.every(settled) ? parts.map(part).join(joint) : text;

@@ -261,7 +261,7 @@ def first_then_well(first: Callable[[socket.socket], None]) -> Handler:
         (lambda c: c.sendall(b"\n"), BadReading, "is '', not one reading", LONG_S),
         (lambda c: c.sendall(b"56789E+00\n"), BadReading, "'56789E+00', not one reading", LONG_S),
         (lambda c: c.sendall(b"-9.00000000E+00\n" * 2), BadReading, "more than one reply", LONG_S),
-        (hang_up, InstrumentLost, "closed the connection at OTHER?", LONG_S),
+        (hang_up, InstrumentLost, "closed the connection at the command OTHER?", LONG_S),
         (lambda c: (c.sendall(b"+1.23"), hang_up(c)), InstrumentLost, "after '+1.23'", LONG_S),
     ],
     ids=["silence", "cut", "garbage", "blank", "tail", "twice", "hung up", "hung up in a reply"],
