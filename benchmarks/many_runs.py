@@ -58,7 +58,7 @@ OPERATORS: Final = ("A. Example", "B. Example", "C. Example", "D. Example", "E. 
 SERIALS: Final = ("MY53200001", "MY53200002", "MY53200003")
 
 
-def make(given: argparse.Namespace) -> None:
+def make(given: argparse.Namespace) -> int:
     """Make the folders; by default one bench for 2,000 runs, 3 at least, and one unit for ten runs."""
     count, begun = given.count, time.perf_counter()
     benches, units = given.benches or max(3, count // 2000), given.units or max(1, count // 10)
@@ -72,6 +72,7 @@ def make(given: argparse.Namespace) -> None:
             copied(template, given.folder, run, int(unit[run]), int(bench[run]), float(day[run]))
     took_s = time.perf_counter() - begun
     print(f"{count} folders, {benches} benches, {units} units: {took_s:.0f} s, {count / took_s:.0f} /s")
+    return 0
 
 
 def made_template(place: Path) -> dict[str, str]:
@@ -150,8 +151,8 @@ def _renamed(text: str, serials: tuple[str, ...]) -> str:
 # --- the batch -------------------------------------------------------------------------------------------
 
 
-def batch(given: argparse.Namespace) -> None:
-    """Carry out one batch over links to the first runs, and read its memory every second."""
+def batch(given: argparse.Namespace) -> int:
+    """Carry out one batch over links to the first runs, and read its memory every second; return its status."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "runs").mkdir()
@@ -170,6 +171,7 @@ def batch(given: argparse.Namespace) -> None:
                     largest["process"] = max(largest["process"], memory_of(pid))
         print(f"{len(runs)} runs in {time.monotonic() - began:.0f} s, status {program.returncode}")
         print(", ".join(f"largest {what} {kb / 1024:.0f} MB" for what, kb in largest.items()))
+    return program.returncode
 
 
 def children_of(pid: int) -> list[int]:
@@ -201,7 +203,7 @@ QUESTIONS: Final[tuple[tuple[str, list[str], str], ...]] = (
 """Questions to the catalogue: for answers, folders of a batch, coefficients as arrays, a unit with its due date."""
 
 
-def catalogue(given: argparse.Namespace) -> None:
+def catalogue(given: argparse.Namespace) -> int:
     """Print the cost of a first sync, of a second sync of the reserved folders, and of questions."""
     runs = sorted(path for path in given.folder.iterdir() if path.is_dir())
     aside = given.folder.parent / f"{given.folder.name}-aside"
@@ -222,6 +224,7 @@ def catalogue(given: argparse.Namespace) -> None:
     print(f"questions: peak {found.peak_mb:.0f} MB, load {os.getloadavg()[0]:.1f}")
     for words, rows, median_s, slowest_s in found.result:
         print(f"  {words:55} {rows:7} rows  {median_s:6.3f} s  {slowest_s:6.3f} s")
+    return 0
 
 
 def show_sync(what: str, found: Cost) -> None:
@@ -276,8 +279,7 @@ def main() -> int:
         count=(10_000, "runs"), seed=1, benches=0, units=0, catalogue=("", "file or URL"),
         hold_back=(100, "folders of the second sync"),
     )  # fmt: skip
-    PARTS[given.part](given)
-    return 0
+    return PARTS[given.part](given)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,8 @@
-"""Compare the paper's 54 settings with chosen ones, and with the fewest chosen ones of the same uncertainty.
+"""Compare the paper's 54 settings with chosen ones.
 
-python -m benchmarks.point_planning
+    python -m benchmarks.point_planning
+
+The chosen settings are as many as the paper's, or the fewest of the same uncertainty.
 """
 
 import time

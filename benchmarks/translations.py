@@ -1,6 +1,6 @@
 """Check that every text that people read has its translation; `--write` adds new texts to the catalogues.
 
-python -m benchmarks.translations
+    python -m benchmarks.translations
 
 Texts are the arguments of `message` and the text of a `Refusal` in Python, the arguments of `_` in scripts and in
 expressions of templates, the words of page templates, and titles, descriptions and reasons of the shipped

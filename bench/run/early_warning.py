@@ -99,7 +99,7 @@ class EarlyWarning:
         model: ForwardModel,
         stand_u: Mapping[str, float],
         readings: int = PAPER_READINGS,
-        following: Mapping[Place, float] | None = None,
+        following: Mapping[Place, float | None] | None = None,
     ) -> None:
         scale = np.abs(np.asarray(nominal_v_g, dtype=np.float64))
         self._scale = scale
@@ -260,8 +260,8 @@ class EarlyWarning:
         After a remounting the series exceeds every planned one; the last planned series then counts.
         """
         series, *point = place
-        planned = (self._following.get((earlier, *point)) for earlier in range(series, 0, -1))  # type: ignore[arg-type]
-        return next((angle for angle in planned if angle is not None), None)
+        places = ((earlier, *point) for earlier in range(series, 0, -1))
+        return next((self._following[known] for known in places if known in self._following), None)  # type: ignore[index]
 
     def _pivot_rad(self) -> float | None:
         """Return the head angle, rad, of the last reading on the present mounting that fitted; None without one."""
@@ -466,9 +466,10 @@ def watcher_of(plan: Plan, bench: BenchFile) -> EarlyWarning:
     reads = [step for step in plan.steps if isinstance(step, Read)]
     following = {
         (read.series, read.installation, read.pass_number, read.point): after.target_rad
-        for read, after in pairwise(reads)
-        if after.target_rad is not None
-        and (read.series, read.installation) == (after.series, after.installation)
+        if after is not None and (read.series, read.installation) == (after.series, after.installation)
+        else None
+        for read, after in pairwise([*reads, None])
+        if read is not None
     }
     return EarlyWarning(
         bench.unit_under_test.scale_factors.values,

@@ -33,7 +33,7 @@ TRIALS = [
 @pytest.mark.parametrize("seed", seeds(0))
 def test_the_bench_is_left_safe_at_every_signal(monkeypatch, seed):
     monkeypatch.setattr(signal_trials, "LIMIT_S", NEVER_S)
-    outcomes = worker(draw(len(PHASES), seed) if seed else TRIALS)
+    outcomes = worker(draw(len(PHASES) * len(PATTERNS), seed) if seed else TRIALS)
     assert [(outcome.trial, outcome.violations) for outcome in outcomes if outcome.violations] == []
     assert seed or {outcome.state for outcome in outcomes} >= {"interrupted", "failed"}
 

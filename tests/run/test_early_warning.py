@@ -11,9 +11,12 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 from bench.base.languages import catalogue
+from bench.config.bench_file.file import load_bench
+from bench.config.procedure.load import load_procedure
+from bench.config.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import Reading
-from bench.run.early_warning import EarlyWarning
+from bench.run.early_warning import EarlyWarning, watcher_of
 from bench.run.events import Event
 from bench.run.resume import halt_prompt
 from bench.validation.paper_bench import SETTING_U_RAD, STAND_U, U0, K, design, specific_force
@@ -22,6 +25,15 @@ from tests.support.diagnosis_bench import MODEL, PSI
 NOMINAL = (-2.18, -2.14, -2.14)
 BENCH_U = STAND_U | {"setting_error": SETTING_U_RAD, "voltmeter_error": 1e-4}
 N = 58
+THERE_AND_BACK = """\
+procedure: there-and-back
+title: Three points, another installation, and the first two points again
+reading: {samples: 2, nplc: 1, settle: 1 s}
+steps:
+  - installation: {label: 1, steps: [turn: {angles: [0 deg, 45 deg, 90 deg]}]}
+  - installation: {label: 2, steps: [turn: {angles: [0 deg]}]}
+  - installation: {label: 1, steps: [turn: {angles: [0 deg, 45 deg]}]}
+"""
 
 
 def plan():
@@ -283,7 +295,6 @@ def test_a_swap_that_is_mended_and_taken_again_leaves_no_trace():
     assert not [number for number, _ in signs if number > 3]
 
 
-@pytest.mark.slow
 def test_a_head_turned_to_the_next_point_is_named_on_a_block_mounted_again():
     """The readings of a block that was mounted again have a series that the plan lacks."""
     rows = [replace(row, series=2) for row in run_of(3, off_rad=at(2, np.radians(45.0)))]
@@ -293,6 +304,20 @@ def test_a_head_turned_to_the_next_point_is_named_on_a_block_mounted_again():
     assert signs[-1].causes[0] == "the head was turned to the next point: it stood at 90°00′00″"
 
 
+def test_the_last_point_of_a_return_has_no_next_point(tmp_path):
+    """Series 1 continues from the same point, also after the block of the return was mounted again."""
+    file = tmp_path / "there-and-back.yaml"
+    file.write_text(THERE_AND_BACK)
+    watcher = watcher_of(load_procedure(file).expand(), load_bench(find_bench("paper-stand")))
+    row = run_of(1)[1]
+    for series in (2, 3):
+        watcher.take(replace(row, series=series))
+        assert watcher._history[-1].next_rad is None
+    watcher.take(row)
+    assert watcher._history[-1].next_rad == np.radians(90.0)
+
+
+@pytest.mark.slow
 def test_a_mount_that_the_rows_do_not_show_can_be_told():
     """After a resume the block sits 100″ otherwise in the same installation: within the stand's limits."""
     off = np.where(np.arange(N) >= 9, np.radians(100 / 3600), 0.0)[:27]

@@ -132,7 +132,7 @@ class Hands:
         leave_answer(self.folder, LeftAnswer(prompt_id, text, PANEL))
 
 
-def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False) -> tuple[Run, Counter[str]]:
+def one(number: int, folder: Path, *, seed: int, kills: int) -> tuple[Run, Counter[str]]:
     """Carry out a run to its end; return the run and the number of disturbances of each kind."""
     rng = random.Random(f"{seed}/{number}")  # noqa: S311 - a campaign, no secret
     name = f"run{number}"
@@ -140,7 +140,7 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
     done: Counter[str] = Counter()
     deadline_s = time.monotonic() + ENOUGH_S
     while True:
-        at_terminal = not calm and rng.random() < 0.7
+        at_terminal = rng.random() < 0.7
         master, screen = os.openpty()
         os.set_blocking(master, False)
         what = ["resume", name] if (run / "run.json").exists() else [*BEGIN, name]
@@ -148,7 +148,7 @@ def one(number: int, folder: Path, *, seed: int, kills: int, calm: bool = False)
             [*PROGRAM, *what, "--answers", "terminal" if at_terminal else "folder"],
             cwd=folder, stdin=screen, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
         )  # fmt: skip
-        hands = Hands(run, rng, master if at_terminal else None, calm=calm)
+        hands = Hands(run, rng, master if at_terminal else None)
         last = kills <= 0
         questions, late_s = rng.randrange(0, 14), rng.choice((0.0, rng.uniform(0.0, 0.3)))
         # sometimes at any time, even before the first question

@@ -1,11 +1,11 @@
 """Runs with faults on the wire: no hang, no traceback, no wrong value.
 
 Every trial is a dry run of a short procedure by the command line. Its bench file is a shipped one, without
-errors of stand, voltmeters and operator, and with short timeouts (0.2 s). One fault of a random kind affects
-one instrument at a random exchange; in a storm there are five. The campaign checks the duration of the run,
-the text on standard error, the record's chain of hashes, and every recorded sample against the forward model
-at the recorded angle. A stopped run must name the instrument, and end with all planned readings when it is
-resumed without faults.
+errors of stand, voltmeters and operator, and with short timeouts. One fault of a random kind affects one
+instrument at a random exchange; in a storm there are five. The judge checks the text on standard error, the
+record's chain of hashes, and every recorded sample against the forward model at the recorded angle. It checks
+the duration of a run against the limit that the caller states. A stopped run must name the instrument, and end
+with all planned readings when it is resumed without faults.
 """
 
 import contextlib
@@ -30,11 +30,10 @@ from sim.bench import SimulatedBench
 from sim.wires.faults import OF_INSTRUMENT, Fault, FaultKind, FaultyInstrument
 from sim.wires.session import ServedInstrument, WireFault
 
-TIMEOUT: Final = "0.2 s"
-LIMIT_S: Final = 6.0
-"""Largest duration of a run, s: a fault costs two attempts at a step, each with a few timeouts of 0.2 s."""
 VALUE_V: Final = 1e-7
 LARGEST_V: Final = 2.5
+ENCODER_RAD: Final = math.radians(0.00005)
+"""Half the last digit of the simulated encoder's angle."""
 TEMPERATURE_C: Final = 0.5
 
 PROCEDURE: Final = """\
@@ -139,7 +138,7 @@ def exact_bench(
     return path, data
 
 
-def stands(folder: Path, names: Sequence[str], timeout: str = TIMEOUT) -> list[Stand]:
+def stands(folder: Path, names: Sequence[str], timeout: str) -> list[Stand]:
     """Make the benches of these bench files; a run without faults on each counts the exchanges.
 
     Raises `RuntimeError` if that run fails.
@@ -251,8 +250,8 @@ def watched(faults: Sequence[Fault]) -> Iterator[Watch]:
 # --- a trial ----------------------------------------------------------------------------------------
 
 
-def carry_out(trial: Trial, folder: Path, limit_s: float = LIMIT_S) -> Outcome:
-    """Carry out and judge a run; if it stopped, resume it and judge it again."""
+def carry_out(trial: Trial, folder: Path, limit_s: float) -> Outcome:
+    """Carry out and judge a run of at most `limit_s`, s; if it stopped, resume it and judge it again."""
     outcome = Outcome(trial)
     name = f"trial-{trial.name}"
     with watched(trial.faults) as watch:
@@ -332,10 +331,14 @@ def judged(outcome: Outcome, step: Mapping[str, Any]) -> list[str]:
 
 
 def slack_v(stand: BenchFile) -> float:
-    """Return the largest deviation of a reading due to 1/f noise (twenty sines) and loading of the input, V."""
+    """Return the largest deviation of a reading, V.
+
+    It is due to 1/f noise (twenty sines), the loading of the input, and the last digit of an encoder's angle.
+    """
     flaws = stand.simulation.voltmeter
     noise_v = flaws.flicker + flaws.reference_flicker * LARGEST_V
-    return 20.0 * math.sqrt(0.5) * noise_v + flaws.source_ohm / 10e9 * LARGEST_V
+    rounded_rad = ENCODER_RAD if stand.instruments.head.driver == "heidenhain-nd28x" else 0.0
+    return 20.0 * math.sqrt(0.5) * noise_v + (flaws.source_ohm / 10e9 + rounded_rad) * LARGEST_V
 
 
 def judge_finished(run: Run, outcome: Outcome) -> None:

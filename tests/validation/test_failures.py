@@ -3,9 +3,12 @@
 import json
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from bench.run.events import Event
+from bench.validation.failures import _in_record
 from tests.support.certificates import RECORDED, copy_run, write_files
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
@@ -38,6 +41,15 @@ def test_failures_are_collected_once(call):
     assert "0 of them new" in printed(call())
     printed(call("--year", 1999, "--json", "none.json"))
     assert json.loads(Path("none.json").read_text(encoding="utf-8"))["failures"] == []
+
+
+def test_a_bench_that_was_not_left_safe_is_one_line():
+    tasks = {"chamber": "switch it off by hand", "head": "check that it stands still"}
+    left = Event(7, "t", 0.0, "left_safe", {"to_do": tasks})
+    (found,) = _in_record(SimpleNamespace(history=SimpleNamespace(events=[left], problems=[])))
+    assert found["said"] == (
+        "still to do: chamber: switch it off by hand; still to do: head: check that it stands still"
+    )
 
 
 @pytest.mark.slow
