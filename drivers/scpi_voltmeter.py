@@ -205,9 +205,7 @@ class ScpiVoltmeter(ABC):
         """
         if self._settings is None:
             raise InstrumentRefused(
-                self.name,
-                "no range, NPLC and samples were set",
-                "configure it before a reading",
+                self.name, "no range, NPLC and samples were set", "configure it before a reading"
             )
         if self._connection is None or self._connection != self._session.connection:
             self.open()
@@ -229,9 +227,7 @@ class ScpiVoltmeter(ABC):
         settings = self._settings
         if settings is None or not self._started or self._connection != self._session.connection:
             raise BadReading(
-                self.name,
-                "no reading was started over this connection",
-                "start the reading again",
+                self.name, "no reading was started over this connection", "start the reading again"
             )
         reply = self._fetch(settings)
         self._refuse_interruption()

@@ -278,21 +278,13 @@ class Catalogue:
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
-                if (
-                    not clauses
-                    and entry.english.startswith("{")
-                    and any(map(_CLAUSE_END.search, values.values()))
-                ):
+                begins = entry.english.startswith("{")
+                if begins and not clauses and any(map(_CLAUSE_END.search, values.values())):
                     continue
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
-                    typed = _typed(entry.english)
-                    return self.fill(
-                        entry,
-                        {
-                            name[1:]: value if name[1:] in typed else self.translate(value)
-                            for name, value in values.items()
-                        },
-                    )
+                    typed, blanks = _typed(entry.english), {name[1:]: one for name, one in values.items()}
+                    told = {n: one if n in typed else self.translate(one) for n, one in blanks.items()}
+                    return self.fill(entry, told)
         return None
 
 

@@ -42,7 +42,7 @@ SYMBOLS: Mapping[str, str] = {
 
 
 MOST_KEPT: Final = 8
-"""Results that a problem keeps."""
+"""Largest number of results that a problem keeps."""
 
 
 @dataclass(frozen=True)

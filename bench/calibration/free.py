@@ -24,7 +24,7 @@ from bench.model.geometry import STAND_ANGLES, Block, modulus_slopes
 MOST_ROUNDS: Final = 50
 STANDS_STILL_G: Final = 1e-14
 STEP_G: Final = 1e-5
-"""Step of the central differences by the specific force, g: small beside the forms of all effects."""
+"""Step of the central differences by the specific force, g: so small that every effect is linear over it."""
 LEAST_POSITIONS: Final = 10
 """Least number of free positions: nine unknowns, and one more position to estimate the noise."""
 LEAST_PART: Final = 1e-3

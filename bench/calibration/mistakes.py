@@ -12,7 +12,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask, least_squares, rms
 from bench.calibration.design import Problem
-from bench.calibration.result import Calibration, CalibrationError, SpoiledFit, WrongReadings
+from bench.calibration.result import Calibration, CalibrationError, FaultyReadings, SpoiledFit
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, linear_columns, within_half_turn
 from bench.readings.columns import OVERLOAD
@@ -49,19 +49,19 @@ FARTHEST_NOMINAL_RAD: Final = np.radians(1.0)
 
 
 def require_numbers(rows: Readings, *, angles: bool) -> None:
-    """Raise `WrongReadings` for an overloaded signal or one that is no number.
+    """Raise `FaultyReadings` for an overloaded signal or one that is no number.
 
     With `angles`, an angle that is no number raises it, too.
     """
     bad = np.asarray(~np.isfinite(rows.signal).all(axis=1))
     if np.any(bad):
-        raise WrongReadings(f"{_place(rows, bad)} has a signal that is not a number; remove this reading")
+        raise FaultyReadings(f"{_place(rows, bad)} has a signal that is not a number; remove this reading")
     bad = ~np.isfinite(rows.angle_rad)
     if angles and np.any(bad):
-        raise WrongReadings(f"{_place(rows, bad)} has an angle that is not a number; remove this reading")
+        raise FaultyReadings(f"{_place(rows, bad)} has an angle that is not a number; remove this reading")
     over = np.asarray((np.abs(rows.signal) >= OVERLOAD).any(axis=1))
     if np.any(over):
-        raise WrongReadings(
+        raise FaultyReadings(
             f"{_place(rows, over)} has an overloaded voltmeter; measure it again on a higher range, or leave "
             "this reading out"
         )
@@ -76,7 +76,7 @@ def _row_of(rows: Readings, i: int) -> str:
 
 
 def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats) -> None:
-    """Raise `WrongReadings` if the angles fit poorly in degrees, but well in another unit.
+    """Raise `FaultyReadings` if the angles fit poorly in degrees, but well in another unit.
 
     `residuals` (n, 3) are the residuals of ordinary least squares to `signal` (n, 3).
     """
@@ -87,7 +87,7 @@ def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats)
     left = {unit: _left(problem, signal, factor) for unit, factor in OTHER_UNITS.items()}
     unit = min(left, key=lambda name: left[name])
     if left[unit] < MUCH_BETTER_ANGLES * as_given and left[unit] < BADLY * whole:
-        raise WrongReadings(
+        raise FaultyReadings(
             f"the angles look like {unit}, not degrees: read as degrees they leave {100 * as_given / whole:.2g} "
             f"% of the variance of the signals unexplained, read as {unit} {100 * left[unit] / whole:.2g} %; "
             "write angle_deg in degrees"
@@ -114,17 +114,17 @@ def still_channels(signal: Floats) -> list[str]:
 
 
 def refuse_still(signal: Floats) -> None:
-    """Raise `WrongReadings` for a channel whose signal (n, 3) is the same in every reading."""
+    """Raise `FaultyReadings` for a channel whose signal (n, 3) is the same in every reading."""
     still = still_channels(signal)
     if still:
-        raise WrongReadings(
+        raise FaultyReadings(
             f"the signal of channel {', '.join(still)} is the same in every reading; "
             "check its cable and the supply of the block"
         )
 
 
 def refuse_saturated(columns: Floats, signal: Floats, resolution: float) -> None:
-    """Raise `WrongReadings` for a saturated channel, whose largest or smallest signals are equal.
+    """Raise `FaultyReadings` for a saturated channel, whose largest or smallest signals are equal.
 
     A fit to the channel's other signals predicts values beyond them; if no fit is possible, the forces there
     differ. `columns` (n, 4) are the specific force and ones, `resolution` is that of `signal`.
@@ -160,7 +160,7 @@ def _equal_where_forces_differ(columns: Floats, signal: Floats, sides: Floats) -
 
 
 def refuse_saturated_free(signal: Floats) -> None:
-    """Raise `WrongReadings` if many free positions have equal signals (m, 3) at one end of the range."""
+    """Raise `FaultyReadings` if many free positions have equal signals (m, 3) at one end of the range."""
     for i, axis in enumerate("xyz"):
         ends = (signal[:, i] == signal[:, i].max(), signal[:, i] == signal[:, i].min())
         there = max(ends, key=np.count_nonzero)
@@ -170,7 +170,7 @@ def refuse_saturated_free(signal: Floats) -> None:
 
 def _raise_saturated(axis: str, count: int, signal: Floats) -> None:
     values = " and ".join(f"{v:.7g}" for v in np.unique(signal))
-    raise WrongReadings(
+    raise FaultyReadings(
         f"channel {axis} is saturated: {count} readings stand at {values}, the end of its range, while "
         "the signal goes further; measure them again on a higher range, or leave them out"
     )

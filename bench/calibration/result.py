@@ -17,11 +17,11 @@ from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import LEAST_DOF
 
 
-class WrongReadings(CalibrationError):
+class FaultyReadings(CalibrationError):
     """The readings, not the procedure, are the reason for a missing calibration."""
 
 
-class SpoiledFit(WrongReadings):
+class SpoiledFit(FaultyReadings):
     """The error of a fit that a few wrong readings may have spoiled; `args` are the problem and advice."""
 
     def __str__(self) -> str:

@@ -139,7 +139,7 @@ def show(
 
 
 def _lacking(found: AppliedEffect) -> Iterator[tuple[str, Floats]]:
-    """Yield name and plausible size, SI, of each size of an effect that the diagnosis did not find."""
+    """Yield name and plausible size, SI, of each size that an effect found by the diagnosis lacks."""
     for p in found.effect.parameters:
         if p.is_size and p.name not in found.values:
             yield p.name, np.full(3 if p.per_channel else (), p.plausible)

@@ -16,7 +16,7 @@ from bench.base.text import as_typed
 from bench.base.yaml_files import load_validated
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import Statement
-from bench.calibration.result import SpoiledFit, WrongReadings
+from bench.calibration.result import FaultyReadings, SpoiledFit
 from bench.config.shipped import CONFIG, PROCEDURES, shipped_folder
 from bench.readings.csv import format_csv, read_csv
 from bench.results.calibration import fit_in_a_line
@@ -138,7 +138,7 @@ def _evaluated(source: Source) -> dict[str, Any]:
     try:
         result = calibration_of(source)
     except CalibrationError as reason:
-        kind = {"spoiled": isinstance(reason, WrongReadings), "findable": isinstance(reason, SpoiledFit)}
+        kind = {"spoiled": isinstance(reason, FaultyReadings), "findable": isinstance(reason, SpoiledFit)}
         return {"no_calibration": str(reason), **kind}
     write_whole(source.output("calibrate", ".json"), to_text(result.to_dict()))
     page, verdict = report_page(result)

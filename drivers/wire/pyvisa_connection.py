@@ -48,27 +48,21 @@ _CLOSED_IN_USE: Final = (
     message("open the instrument and take this step again"),
 )
 _CHECK_POWER: Final = message("check its power and its cable, then start again")
+_BROKEN: Final = (message("{0} broke the connection"), _CHECK_POWER)
 
 _BY_ERRNO: Final[dict[int, Cause]] = {
     errno.ECONNREFUSED: (
         message("{0} refused the connection"),
         message("check that the instrument is on and that address and port in the bench file are right"),
     ),
-    errno.EHOSTUNREACH: (
-        message("{0} cannot be reached"),
-        message("check the network cable and the address in the bench file"),
+    **dict.fromkeys(
+        (errno.EHOSTUNREACH, errno.ENETUNREACH, errno.ETIMEDOUT),
+        (
+            message("{0} cannot be reached"),
+            message("check the network cable and the address in the bench file"),
+        ),
     ),
-    errno.ENETUNREACH: (
-        message("{0} cannot be reached"),
-        message("check the network cable and the address in the bench file"),
-    ),
-    errno.ETIMEDOUT: (
-        message("{0} cannot be reached"),
-        message("check the network cable and the address in the bench file"),
-    ),
-    errno.ECONNRESET: (message("{0} broke the connection"), _CHECK_POWER),
-    errno.ECONNABORTED: (message("{0} broke the connection"), _CHECK_POWER),
-    errno.EPIPE: (message("{0} broke the connection"), _CHECK_POWER),
+    **dict.fromkeys((errno.ECONNRESET, errno.ECONNABORTED, errno.EPIPE), _BROKEN),
     errno.ENOENT: (
         message("{0} does not exist on this computer"),
         message("plug the serial adapter in, and check the port's name in the bench file"),
@@ -92,7 +86,7 @@ _BY_ERRNO: Final[dict[int, Cause]] = {
 
 _BY_STATUS: Final[dict[int, Cause]] = {
     StatusCode.error_timeout: (message("{0} did not respond in time"), _CHECK_POWER),
-    StatusCode.error_connection_lost: (message("{0} broke the connection"), _CHECK_POWER),
+    StatusCode.error_connection_lost: _BROKEN,
     StatusCode.error_resource_not_found: (
         message("{0} was not found"),
         message("check that the instrument is on and its address in the bench file is right"),

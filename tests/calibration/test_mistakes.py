@@ -11,7 +11,7 @@ import pytest
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.calibrate import ESTIMATORS
 from bench.calibration.mistakes import refuse_mixed_units, sheet_of, wrong_unit
-from bench.calibration.result import SpoiledFit, WrongReadings
+from bench.calibration.result import FaultyReadings, SpoiledFit
 from bench.config.bench_file.file import load_bench
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
@@ -76,7 +76,7 @@ def test_a_saturated_channel_of_free_positions():
     forces = free_forces(40, np.random.default_rng(5))
     signal = np.minimum(forces @ K.T + U0, [1.0, 9, 9])
     readings = make_readings(["F"] * 40, [1] * 40, [*range(40)], np.full(40, np.nan), signal)
-    assert isinstance(refused(readings, r"channel x is saturated: \d+ readings stand at 1,"), WrongReadings)
+    assert isinstance(refused(readings, r"channel x is saturated: \d+ readings stand at 1,"), FaultyReadings)
 
 
 def test_overload_is_named():
@@ -96,7 +96,7 @@ def test_a_cable_that_is_off():
             estimator,
         )
     readings.signal[:, 2] = 0.1
-    assert type(refused(readings, "channel z is the same in every reading")) is WrongReadings
+    assert type(refused(readings, "channel z is the same in every reading")) is FaultyReadings
 
 
 def test_two_meters_on_one_channel():

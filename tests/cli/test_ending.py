@@ -9,7 +9,7 @@ import pytest
 
 import bench as face
 from bench.calibration.conformity import Statement
-from bench.calibration.result import SpoiledFit, WrongReadings
+from bench.calibration.result import FaultyReadings, SpoiledFit
 from bench.run.folder import Run
 from bench.services.conclusion import MOST_LINES, conclude, ending
 from tests.support.commands import printed, refused
@@ -88,7 +88,7 @@ def test_where_the_model_does_not_fit_that_is_the_verdict(concluded):
 @pytest.mark.parametrize(
     ("error", "words", "step"),
     [
-        (WrongReadings, ["the signal of channel x is the same in every reading; check its cable"], "show"),
+        (FaultyReadings, ["the signal of channel x is the same in every reading; check its cable"], "show"),
         (SpoiledFit, ["the fit did not converge", "find the mistake with 'bench diagnose'"], "diagnose"),
     ],
 )

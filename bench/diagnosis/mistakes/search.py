@@ -22,7 +22,7 @@ from bench.calibration.mistakes import PREFIX, PREFIXES, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
-from bench.diagnosis.mistakes.reinterpretation import OrientedRows
+from bench.diagnosis.mistakes.reinterpretation import OrientedRows, Reinterpretation
 from bench.diagnosis.mistakes.terms import TermSearch, WrongReadings
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
@@ -206,24 +206,26 @@ class _Search:
         )
 
 
+def _instead(other: Reinterpretation, supposition: Reinterpretation) -> str:
+    """Return in words in what another supposition of the same name differs."""
+    if other.channels != supposition.channels:
+        return f"the same of {', '.join(other.channels)} {other.scope}"
+    if str(other.scope) != str(supposition.scope):
+        return f"the same {other.scope}"
+    return f"this: {other.words.split(';')[0]}"
+
+
 def _gross_mistake(gross: GrossMistake) -> Mistake:
     supposition = gross.supposition
     names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
-    here = supposition.channels, str(supposition.scope)
-    same = [other for other in gross.equal if other.name == supposition.name]
-    elsewhere = [
-        f"the same of {', '.join(other.channels)} {other.scope}"
-        if other.channels != here[0]
-        else f"the same {other.scope}"
-        if str(other.scope) != here[1]
-        else f"this: {other.words.split(';')[0]}"
-        for other in same
-        if other.words != supposition.words
-    ]
     also = [
         f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
     ]
-    also += elsewhere
+    also += [
+        _instead(other, supposition)
+        for other in gross.equal
+        if other.name == supposition.name and other.words != supposition.words
+    ]
     alike = f"; these readings cannot separate it from {', '.join(dict.fromkeys(also))}" if also else ""
     return Mistake(
         name=supposition.name,
