@@ -132,7 +132,7 @@ def _with_meters(gain, offset):
 
 @pytest.mark.parametrize("seed", [None, 1])
 def test_noise_adds_to_u(seed):
-    """Computed readings, without stand errors and with drawn ones, have no larger u than readings with 1 µV of noise.
+    """Computed readings, with and without stand errors, have no larger u than readings with 1 µV of noise.
 
     If the fit takes the noise as nearly zero, u of the cross-axis terms is a hundred times as large.
     """
