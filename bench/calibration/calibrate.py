@@ -39,7 +39,7 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
-ROUNDING: Final = 1e-9
+ROUNDING: Final = 2.0 * gls.LEAST_NOISE
 """Readings with noise below this fraction of the largest signal count as computed values, without outliers."""
 
 
