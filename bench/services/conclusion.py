@@ -116,7 +116,9 @@ def conclude(run: Run) -> Conclusion:
         concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
         made = [name for name in _MADE if (run.folder / name).is_file()]
         why = {"no_calibration": concluded.no_calibration, "diagnosable": concluded.diagnosable}
-        write_whole(run.folder / RESULTS, to_text({"made": made, **(why if concluded.no_calibration else {})}))
+        write_whole(
+            run.folder / RESULTS, to_text({"made": made, **(why if concluded.no_calibration else {})})
+        )
     return concluded
 
 
