@@ -2,12 +2,12 @@
 
     python -m benchmarks.translations
 
-Texts are the arguments of `message`, the text of a `Refusal`, and the cause and remedy of a fault in Python, the
-arguments of `_` in scripts and in expressions of templates, the words of page templates, and titles, descriptions
-and reasons of the shipped procedures and bench files. A name that a page takes from a record or a file is an entry
-of a catalogue with the reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has
-other blanks or elements than its text, if a catalogue has an unused text, if a word of the certificate lacks a
-language, or if the text of a `Prompt` is not marked.
+Texts are the arguments of `message`, the words of refusals and faults (see `MARKS`), the arguments of `_` in
+scripts and in expressions of templates, the words of page templates, and titles, descriptions and reasons of the
+shipped procedures and bench files. A name that a page takes from a record or a file is an entry of a catalogue with
+the reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or
+elements than its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the
+text of a `Prompt` is not marked.
 """
 
 import ast
@@ -42,14 +42,16 @@ EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
 NAMES_SHOWN: Final = "names-shown"
 """Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""
+REFUSALS: Final = "Refused NoCheckBlock RecordError ReadingsError CalibrationError FaultyReadings"
 FAULTS: Final = (
     "BenchError InstrumentLost InstrumentRefused BadReading LimitExceeded WentAstray NoAnswer SetOtherwise "
     "RailFault NotSettled"
 )
-"""The classes of faults, whose second and third arguments are the cause and the remedy."""
 MARKS: Final = {
     "message": slice(0, 1),
-    "Refusal": slice(1, 2),
+    **dict.fromkeys(REFUSALS.split(), slice(0, 1)),
+    "SpoiledFit": slice(0, 2),
+    **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
 }
 """The calls that mark texts for translation, with the places of these texts among their arguments."""

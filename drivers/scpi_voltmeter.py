@@ -190,7 +190,7 @@ class ScpiVoltmeter(ABC):
         troubles = differences + self._errors()
         if troubles and opened:
             self._identified = _NONE
-        self._refuse(troubles, "did not accept its settings")
+        self._refuse(troubles, message("did not accept its settings"))
         self._settings = settings
         self._connection = self._session.connection
 
@@ -271,7 +271,7 @@ class ScpiVoltmeter(ABC):
             timeout_s=self._session.timeout_s + _PATIENCE * self.reading_time_s(settings, character_s),
             # Some firmware prints a comma after the last reading.
             pattern=rf"{self.reading}(?:,{self.reading}){{{readings - 1}}},?",
-            expected=f"{readings} readings such as {self.reading_example}",
+            expected=message(f"{readings} readings such as {self.reading_example}"),
         )
 
     def _discard(self) -> None:
@@ -368,7 +368,7 @@ class ScpiVoltmeter(ABC):
                 "check its power, then repeat this reading",
             )
         if events & _ERRORS:
-            self._refuse(self._errors(), "reports errors with a reading")
+            self._refuse(self._errors(), message("reports errors with a reading"))
 
 
 def _plain(wanted: str | float | tuple[float, ...]) -> str:

@@ -216,8 +216,8 @@ def find_run(name: str, runs: Path) -> Run:
     for folder in (runs / name, Path(name)):
         if (folder / MANIFEST).is_file():
             return Run(folder)
-    there = ", ".join(run.name for run in all_runs(runs)[-5:]) or "none"
-    path = "that path is not the folder of a run" if Path(name).exists() else "no such path"
+    there = ", ".join(run.name for run in all_runs(runs)[-5:]) or message("none")
+    path = message("that path is not the folder of a run") if Path(name).exists() else message("no such path")
     raise RecordError(f"{name}: no run of that name in {runs} and {path}; the latest runs are: {there}")
 
 

@@ -76,11 +76,13 @@ class AimTti(WiredSupply):
         return self._limits.outputs[output].over_voltage_v is not None
 
     def _setting(self, command: str, named: str) -> float:
-        reply = self._session.ask(f"{command}?", rf"{named} {_NUMBER}", f"a setting such as {named} 5.000")
+        reply = self._session.ask(
+            f"{command}?", rf"{named} {_NUMBER}", message(f"a setting such as {named} 5.000")
+        )
         return float(reply.split()[1])
 
     def _measured(self, question: str, unit: str) -> float:
-        reply = self._session.ask(question, rf"{_NUMBER}{unit}", f"a reading such as 5.000{unit}")
+        reply = self._session.ask(question, rf"{_NUMBER}{unit}", message(f"a reading such as 5.000{unit}"))
         return float(reply.removesuffix(unit))
 
     def _refuse_unready(

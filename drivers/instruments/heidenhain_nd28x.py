@@ -107,7 +107,9 @@ class HeidenhainNd28x(ReadOutHead):
         of_281b = self._model == "ND-281B"
         length = str(facts.INDICATORS_281B) if of_281b else "1,24"
         said = self._session.ask(
-            facts.ASK_INDICATORS, rf"{facts.STX}[012]{{{length}}}", "indicators such as 01001001000000"
+            facts.ASK_INDICATORS,
+            rf"{facts.STX}[012]{{{length}}}",
+            message("indicators such as 01001001000000"),
         )[1:]
         referenced = said[facts.REF_281B] == facts.GLOWS if of_281b else facts.BLINKS not in said
         if not referenced:

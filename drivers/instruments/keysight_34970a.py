@@ -199,9 +199,7 @@ class _Probe(ScpiVoltmeter):
         if reply.split(",")[1].strip() != facts.CARD:
             raise InstrumentRefused(
                 self.name,
-                message(
-                    f"slot {slot} of {self._session.resource} holds {reply!r}, not a {facts.CARD} multiplexer"
-                ),
+                f"slot {slot} of {self._session.resource} holds {reply!r}, not a {facts.CARD} multiplexer",
                 "put the card in, with the meter switched off, or correct the channel in the bench file",
             )
         return identity
