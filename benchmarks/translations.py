@@ -2,12 +2,12 @@
 
     python -m benchmarks.translations
 
-Texts are the arguments of `message` and the text of a `Refusal` in Python, the arguments of `_` in scripts and in
-expressions of templates, the words of page templates, and titles, descriptions and reasons of the shipped
-procedures and bench files. A name that a page takes from a record or a file is an entry of a catalogue with the
-reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or elements
-than its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the text of a
-`Prompt` is not marked.
+Texts are the arguments of `message`, the words of refusals and faults (see `MARKS`), the arguments of `_` in
+scripts and in expressions of templates, the words of page templates, and titles, descriptions and reasons of the
+shipped procedures and bench files. A name that a page takes from a record or a file is an entry of a catalogue with
+the reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or
+elements than its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the
+text of a `Prompt` is not marked.
 """
 
 import ast
@@ -43,8 +43,19 @@ EFFECTS: Final = ROOT / "bench" / "model" / "effects"
 WORDS: Final = ROOT / "bench" / "certificate" / "words.yaml"
 NAMES_SHOWN: Final = "names-shown"
 """Reference of a catalogue's entry for a name that no module states, because it comes from a record or a file."""
-MARKS: Final = {"message": 0, "Refusal": 1}
-"""The calls that mark a text for translation, and the place of the text among their arguments."""
+REFUSALS: Final = "Refused NoCheckBlock RecordError ReadingsError CalibrationError FaultyReadings"
+FAULTS: Final = (
+    "BenchError InstrumentLost InstrumentRefused BadReading LimitExceeded WentAstray NoAnswer SetOtherwise "
+    "RailFault NotSettled"
+)
+MARKS: Final = {
+    "message": slice(0, 1),
+    **dict.fromkeys(REFUSALS.split(), slice(0, 1)),
+    "SpoiledFit": slice(0, 2),
+    **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
+    **dict.fromkeys(FAULTS.split(), slice(1, 3)),
+}
+"""The calls that mark texts for translation, with the places of these texts among their arguments."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
@@ -110,26 +121,30 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
             if {"sentence", "shown_by"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
                 yield from _wordings(node.value)
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MARKS:
-            text, *more = node.args[MARKS[node.func.id] :]
-            if node.func.id == "Refusal" and isinstance(text, ast.Name | ast.Attribute | ast.Call):
-                continue  # a text of elsewhere, which is marked there
-            told = str(more[0].value) if more and isinstance(more[0], ast.Constant) else ""
+            name = node.func.id
+            context = node.args[1:2] if name == "message" else []
+            told = str(ast.literal_eval(context[0])) if context else ""
             try:
-                yield from (Entry(one.english, one.plural, told) for one in _wordings(text))
+                for text in node.args[MARKS[name]]:
+                    for one in _wordings(text, given=name == "message"):
+                        yield Entry(one.english, one.plural, told)
             except ValueError as error:
                 raise ValueError(f"{file.relative_to(ROOT)}, line {node.lineno}: {error}") from error
 
 
-def _wordings(node: ast.expr) -> Iterator[Entry]:
-    """Yield the wordings of a text, one per branch of its conditions; a choice by number gives a plural."""
+def _wordings(node: ast.expr, *, given: bool = True) -> Iterator[Entry]:
+    """Yield the wordings of a text, one per branch of its conditions; a choice by number gives a plural.
+
+    Raises `ValueError` for a text that is no literal. Unless it must be `given` here, it is marked elsewhere.
+    """
     match node:
         case ast.Constant(value=str(text)):
             yield Entry(text)
         case ast.IfExp():
-            yield from (*_wordings(node.body), *_wordings(node.orelse))
+            yield from (*_wordings(node.body, given=given), *_wordings(node.orelse, given=given))
         case ast.JoinedStr():
-            yield from _filled(node)
-        case _:
+            yield from (one for one in _filled(node) if LETTER.search(_BLANKS.sub("", one.english)))
+        case _ if given:
             raise ValueError("a marked text is a literal or an f-string")
 
 

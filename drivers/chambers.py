@@ -7,7 +7,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded, message
+from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded
 from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
@@ -47,8 +47,8 @@ class ChamberLimits:
         if not (math.isfinite(target_c) and self.minimum_c <= target_c <= self.maximum_c):
             raise LimitExceeded(
                 name,
-                message(f"{target_c:g} °C is outside {self.minimum_c:g} to {self.maximum_c:g} °C"),
-                message("change the temperature in the procedure or the limits in the bench file"),
+                f"{target_c:g} °C is outside {self.minimum_c:g} to {self.maximum_c:g} °C",
+                "change the temperature in the procedure or the limits in the bench file",
             )
 
     def plausible(self, name: str, temperature_c: float) -> float:
@@ -58,8 +58,8 @@ class ChamberLimits:
             return temperature_c
         raise BadReading(
             name,
-            message(f"it shows {temperature_c:g} °C, which is not plausible ({low_c:g} to {high_c:g} °C)"),
-            message("check its sensor, its unit (°C or °F) and the limits in the bench file"),
+            f"it shows {temperature_c:g} °C, which is not plausible ({low_c:g} to {high_c:g} °C)",
+            "check its sensor, its unit (°C or °F) and the limits in the bench file",
         )
 
     def in_band(self, name: str, temperature_c: float, target_c: float | None) -> float:
@@ -73,11 +73,9 @@ class ChamberLimits:
             return temperature_c
         raise InstrumentRefused(
             name,
-            message(
-                f"the air is at {temperature_c:g} °C, more than {self.band_c:g} °C "
-                f"from the {target_c:g} °C demanded"
-            ),
-            message("lengthen the soak in the procedure, or repair the chamber"),
+            f"the air is at {temperature_c:g} °C, more than {self.band_c:g} °C "
+            f"from the {target_c:g} °C demanded",
+            "lengthen the soak in the procedure, or repair the chamber",
         )
 
 
@@ -89,8 +87,8 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
     if abs(shown_c - target_c) > 0.51 * resolution_c:
         raise InstrumentRefused(
             name,
-            message(f"its set point is {shown_c:g} °C, not the {target_c:g} °C demanded"),
-            message("check that nobody else controls the chamber, and that it was not switched off"),
+            f"its set point is {shown_c:g} °C, not the {target_c:g} °C demanded",
+            "check that nobody else controls the chamber, and that it was not switched off",
         )
 
 

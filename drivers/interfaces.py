@@ -7,7 +7,7 @@ Angles are radians, voltages volts, currents amperes, temperatures degrees Celsi
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import ModuleType
 from typing import Final, Literal, Protocol, runtime_checkable
@@ -162,12 +162,12 @@ class VoltmeterLimits:
         """Return one phrase for each setting that the model does not support."""
         wrong = []
         if settings.range_v not in self.ranges_v:
-            wrong.append(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)")
+            wrong.append(message(f"a range of {settings.range_v:g} V (it has {_listed(self.ranges_v)} V)"))
         if settings.nplc not in self.nplc:
-            wrong.append(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})")
+            wrong.append(message(f"an integration of {settings.nplc:g} NPLC (it has {_listed(self.nplc)})"))
         if not self.least_samples <= settings.samples <= self.most_samples:
-            held = f"{self.least_samples} to {self.most_samples}"
-            wrong.append(f"{settings.samples} samples (its memory holds {held})")
+            held = message(f"{self.least_samples} to {self.most_samples}")
+            wrong.append(message(f"{settings.samples} samples (its memory holds {held})"))
         return wrong
 
 
@@ -365,21 +365,23 @@ class OutputLimits:
         """Return one phrase for each setting that the output does not support."""
         wrong = []
         if not _inside(settings.voltage_v, self.voltage_v):
-            wrong.append(f"{settings.voltage_v:g} V (it has {_span(self.voltage_v)} V)")
+            wrong.append(message(f"{settings.voltage_v:g} V (it has {_span(self.voltage_v)} V)"))
         if not _inside(settings.current_limit_a, self.current_a):
             wrong.append(
-                f"a current limit of {settings.current_limit_a:g} A (it has {_span(self.current_a)} A)"
+                message(
+                    f"a current limit of {settings.current_limit_a:g} A (it has {_span(self.current_a)} A)"
+                )
             )
         protection_v = settings.over_voltage_v
         if protection_v is not None and self.over_voltage_v is None:
-            wrong.append("an over-voltage protection (it has none)")
+            wrong.append(message("an over-voltage protection (it has none)"))
         elif protection_v is not None and self.over_voltage_v is not None:
             if not _inside(protection_v, self.over_voltage_v):
                 has = _span(self.over_voltage_v)
-                wrong.append(f"an over-voltage protection at {protection_v:g} V (it has {has} V)")
+                wrong.append(message(f"an over-voltage protection at {protection_v:g} V (it has {has} V)"))
             elif abs(protection_v) <= abs(settings.voltage_v):
                 at = f"{protection_v:g} V with {settings.voltage_v:g} V set"
-                wrong.append(f"an over-voltage protection at {at} (it would trip at once)")
+                wrong.append(message(f"an over-voltage protection at {at} (it would trip at once)"))
         return wrong
 
     def differences(self, shown: OutputSettings, wanted: OutputSettings) -> list[str]:
@@ -387,27 +389,24 @@ class OutputLimits:
 
         If no protection is wanted, any protection is accepted: it can only switch the output off.
         """
-        pairs = [
-            ("the voltage", shown.voltage_v, wanted.voltage_v, self.voltage_step_v, "V"),
-            ("the current limit", shown.current_limit_a, wanted.current_limit_a, self.current_step_a, "A"),
-        ]
-        if wanted.over_voltage_v is not None:
-            if shown.over_voltage_v is None:
-                return [
-                    *_different(pairs),
-                    f"the over-voltage protection is off, not {wanted.over_voltage_v:g} V",
-                ]
-            protections = (shown.over_voltage_v, wanted.over_voltage_v)
-            pairs.append(("the over-voltage protection", *protections, self.over_voltage_step_v, "V"))
-        return _different(pairs)
+        volts, limit_a = (shown.voltage_v, wanted.voltage_v), (shown.current_limit_a, wanted.current_limit_a)
+        found = []
+        if _differ(*volts, self.voltage_step_v):
+            found.append(message(f"the voltage is {volts[0]:g} V, not {volts[1]:g} V"))
+        if _differ(*limit_a, self.current_step_a):
+            found.append(message(f"the current limit is {limit_a[0]:g} A, not {limit_a[1]:g} A"))
+        given_v, wanted_v = shown.over_voltage_v, wanted.over_voltage_v
+        if wanted_v is None:
+            return found
+        if given_v is None:
+            found.append(message(f"the over-voltage protection is off, not {wanted_v:g} V"))
+        elif _differ(given_v, wanted_v, self.over_voltage_step_v):
+            found.append(message(f"the over-voltage protection is {given_v:g} V, not {wanted_v:g} V"))
+        return found
 
 
-def _different(pairs: Iterable[tuple[str, float, float, float, str]]) -> list[str]:
-    return [
-        f"{what} is {shown:g} {unit}, not {wanted:g} {unit}"
-        for what, shown, wanted, step, unit in pairs
-        if not abs(shown - wanted) <= _HALF_STEP * step
-    ]
+def _differ(shown: float, wanted: float, step: float) -> bool:
+    return not abs(shown - wanted) <= _HALF_STEP * step
 
 
 def _inside(value: float, span: tuple[float, float]) -> bool:
@@ -415,7 +414,7 @@ def _inside(value: float, span: tuple[float, float]) -> bool:
 
 
 def _span(span: tuple[float, float]) -> str:
-    return f"{span[0]:g} to {span[1]:g}"
+    return message(f"{span[0]:g} to {span[1]:g}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -443,10 +442,11 @@ class SupplyLimits:
         wrong = []
         for name, wanted in settings.items():
             if name not in self.outputs:
-                wrong.append(f"an output {name} (it has {', '.join(self.outputs)})")
+                wrong.append(message(f"an output {name} (it has {', '.join(self.outputs)})"))
             else:
                 wrong += [
-                    f"on its output {name} {what}" for what in self.outputs[name].transgressions(wanted)
+                    message(f"on its output {name} {what}")
+                    for what in self.outputs[name].transgressions(wanted)
                 ]
         return wrong
 

@@ -79,24 +79,18 @@ class TravelWatch:
     def _astray(self, angle_rad: float, where: str) -> BenchError:
         return WentAstray(
             self.name,
-            message(
-                f"it moved {where}: sent from {format_dms(self.start_rad)} to {format_dms(self.target_rad)} "
-                f"it was at {format_dms(angle_rad)} and was stopped"
-            ),
-            message(
-                "check the sign and the scale of the axis in the controller and the bench file before it moves "
-                "again, watching the cables"
-            ),
+            f"it moved {where}: sent from {format_dms(self.start_rad)} to {format_dms(self.target_rad)} "
+            f"it was at {format_dms(angle_rad)} and was stopped",
+            "check the sign and the scale of the axis in the controller and the bench file before it moves "
+            "again, watching the cables",
         )
 
     def _stalled(self, angle_rad: float, stood_s: float) -> BenchError:
         return InstrumentRefused(
             self.name,
-            message(
-                f"it stalled at {format_dms(angle_rad)}, sent to {format_dms(self.target_rad)}: no progress in "
-                f"{stood_s:.0f} s"
-            ),
-            message("check the load and that nothing blocks the head, then repeat this step"),
+            f"it stalled at {format_dms(angle_rad)}, sent to {format_dms(self.target_rad)}: no progress in "
+            f"{stood_s:.0f} s",
+            "check the load and that nothing blocks the head, then repeat this step",
         )
 
 
@@ -195,18 +189,16 @@ class Mover:
             shown = format_dms(target_rad) if math.isfinite(target_rad) else f"{target_rad}"
             raise LimitExceeded(
                 self._name,
-                message(f"{shown} is outside its limits, {self._travel.text}"),
-                message("change the angle in the procedure or the limits in the bench file"),
+                f"{shown} is outside its limits, {self._travel.text}",
+                "change the angle in the procedure or the limits in the bench file",
             )
         from_rad = self._backed_off(target_rad, direction)
         if not self._travel.contains(from_rad):
             raise LimitExceeded(
                 self._name,
-                message(
-                    f"to come to {format_dms(target_rad)} from {'below' if direction > 0 else 'above'} "
-                    f"it must start at {format_dms(from_rad)}, outside its limits, {self._travel.text}"
-                ),
-                message("change the direction of approach in the procedure or the limits in the bench file"),
+                f"to come to {format_dms(target_rad)} from {'below' if direction > 0 else 'above'} "
+                f"it must start at {format_dms(from_rad)}, outside its limits, {self._travel.text}",
+                "change the direction of approach in the procedure or the limits in the bench file",
             )
 
     def move(self, target_rad: float, direction: Direction) -> HeadPosition:
@@ -241,8 +233,8 @@ class Mover:
             if self._clock.now_s() > deadline_s:
                 raise InstrumentRefused(
                     self._name,
-                    message(f"it still moves after {limit_s:.0f} s"),
-                    message("check the head and its speed in the bench file, then repeat this step"),
+                    f"it still moves after {limit_s:.0f} s",
+                    "check the head and its speed in the bench file, then repeat this step",
                 )
             self._clock.sleep(self._travel.poll_s)
 
@@ -253,8 +245,8 @@ class Mover:
         if not self._travel.contains(angle_rad, self._travel.tolerance_rad):
             raise LimitExceeded(
                 self._name,
-                message(f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}"),
-                message("bring it back within them by hand, watching the cables"),
+                f"it stands at {format_dms(angle_rad)}, outside its limits, {self._travel.text}",
+                "bring it back within them by hand, watching the cables",
             )
 
     def _go(self, start_rad: float, target_rad: float, settle_s: float) -> float:
@@ -300,9 +292,7 @@ class Mover:
         return InstrumentRefused(
             self._name,
             cause,
-            message(
-                "check that nothing blocks the head, its load, its scale and its speed, then repeat this step"
-            ),
+            "check that nothing blocks the head, its load, its scale and its speed, then repeat this step",
         )
 
 

@@ -23,6 +23,7 @@ from drivers.interfaces import (
     HeadPosition,
     InstrumentRefused,
     LimitExceeded,
+    message,
 )
 from drivers.person import APPROACH, AnsweredByInstrument, Prompt, PromptKind, ask_until, watching
 from drivers.wire.visa import ProvedInstrument, ProvedSession
@@ -274,7 +275,7 @@ class ReadOutHead(ProvedInstrument):
         def read(text: str) -> None:
             if text.lower() in _NO:
                 raise ValueError(
-                    "Without it the counter shows no angle: turn the head across the reference mark."
+                    message("Without it the counter shows no angle: turn the head across the reference mark.")
                 )
 
         try:
@@ -336,8 +337,8 @@ class ReadOutHead(ProvedInstrument):
         if abs(wrapped_rad(typed_rad - track.angle_rad)) <= tolerance_rad + ROUNDING_RAD:
             return ""
         slip = classic_slip(typed_rad, track.angle_rad, tolerance_rad)
-        why = f"probably {slip}" if slip else "check the encoder's coupling and its zero"
-        return (
+        why = message(f"probably {slip}") if slip else message("check the encoder's coupling and its zero")
+        return message(
             f"You typed {format_dms(typed_rad)}, the encoder shows {format_dms(track.angle_rad % math.tau)}: "
             f"{why}. Read the scale again."
         )

@@ -138,8 +138,8 @@ class ScpiVoltmeter(ABC):
             return
         raise InstrumentRefused(
             self.name,
-            f"{self._session.resource} is {reply!r}, not {self.called}",
-            message(f"check the address in the bench file{f' ({self.hint})' if self.hint else ''}"),
+            f"{self._session.resource} identifies itself as {reply!r}, not as {self.called}",
+            f"check the address in the bench file{f' ({self.hint})' if self.hint else ''}",
         )
 
     def reading_time_s(self, settings: VoltmeterSettings, character_time_s: float = 0.0) -> float:
@@ -163,7 +163,7 @@ class ScpiVoltmeter(ABC):
         self._started = False
         self._session.open()
         self._be_remote()
-        reply = self._session.query("*IDN?", pattern=IDENTITY, expected="an identity of four fields")
+        reply = self._session.query("*IDN?", pattern=IDENTITY, expected=message("an identity of four fields"))
         maker, model, serial, firmware = (field.strip() for field in reply.split(","))
         identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
         self._accept(identity, reply)
@@ -178,9 +178,7 @@ class ScpiVoltmeter(ABC):
         `InstrumentLost`, `BadReading`.
         """
         if wrong := self.limits.transgressions(settings):
-            raise LimitExceeded(
-                self.name, message(f"cannot do {', '.join(wrong)}"), message("change the procedure")
-            )
+            raise LimitExceeded(self.name, f"cannot do {', '.join(wrong)}", "change the procedure")
         self._connection = None
         opened = self._identified is not None
         if opened and self._identified != self._session.connection:
@@ -192,7 +190,7 @@ class ScpiVoltmeter(ABC):
         troubles = differences + self._errors()
         if troubles and opened:
             self._identified = _NONE
-        self._refuse(troubles, "did not accept its settings")
+        self._refuse(troubles, message("did not accept its settings"))
         self._settings = settings
         self._connection = self._session.connection
 
@@ -257,7 +255,7 @@ class ScpiVoltmeter(ABC):
             "*TST?",
             timeout_s=self._session.timeout_s + self.self_test_s,
             pattern=r"[+-]?\d{1,5}",
-            expected="the result of the self-test, 0 or 1",
+            expected=message("the result of the self-test, 0 or 1"),
         )
         errors = self._errors()
         self._spoke_s = self._clock.now_s()
@@ -273,7 +271,7 @@ class ScpiVoltmeter(ABC):
             timeout_s=self._session.timeout_s + _PATIENCE * self.reading_time_s(settings, character_s),
             # Some firmware prints a comma after the last reading.
             pattern=rf"{self.reading}(?:,{self.reading}){{{readings - 1}}},?",
-            expected=f"{readings} readings such as {self.reading_example}",
+            expected=message(f"{readings} readings such as {self.reading_example}"),
         )
 
     def _discard(self) -> None:
@@ -319,19 +317,19 @@ class ScpiVoltmeter(ABC):
             )
             answered = [float(text) for text in reply.split(",")]
             taken = all(math.isclose(a, w, rel_tol=1e-6) for a, w in zip(answered, numbers, strict=True))
-        return [] if taken else [f"{question} answers {reply}, not {_plain(wanted)}"]
+        return [] if taken else [message(f"{question} answers {reply}, not {_plain(wanted)}")]
 
     def _errors(self) -> list[str]:
         """Empty the error queue and return its errors."""
         errors = []
         for _ in range(self.errors_kept + 1):
             reply = self._session.query(
-                self.error_query, pattern=self.error_reply, expected="an error number and text"
+                self.error_query, pattern=self.error_reply, expected=message("an error number and text")
             )
             number = re.fullmatch(self.error_reply, reply)
             if number is None or int(number[1]) == 0:
                 break
-            errors.append(f"error {reply}")
+            errors.append(message(f"error {reply}"))
         return errors
 
     def _refuse(self, troubles: list[str], cause: str) -> None:
@@ -339,7 +337,7 @@ class ScpiVoltmeter(ABC):
             raise InstrumentRefused(
                 self.name,
                 f"{cause}: {', '.join(troubles)}",
-                message("look these up in the meter's manual, and check that nobody else controls the meter"),
+                "look these up in the meter's manual, and check that nobody else controls the meter",
             )
 
     def _refuse_overload(
@@ -349,10 +347,8 @@ class ScpiVoltmeter(ABC):
         if over:
             raise BadReading(
                 self.name,
-                message(
-                    f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range"
-                ),
-                message("choose a higher range in the procedure, or check the wiring and power of the block"),
+                f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range",
+                "choose a higher range in the procedure, or check the wiring and power of the block",
             )
 
     def _refuse_interruption(self) -> None:
@@ -360,17 +356,19 @@ class ScpiVoltmeter(ABC):
 
         On GPIB and RS-232 the connection survives a power cut of the meter: only the event register shows it.
         """
-        reply = self._session.query("*ESR?", pattern=r"[+-]?\d{1,3}", expected="a register of 0 to 255")
+        reply = self._session.query(
+            "*ESR?", pattern=r"[+-]?\d{1,3}", expected=message("a register of 0 to 255")
+        )
         events = int(reply)
         if events & _POWER_ON:
             self._connection = None
             raise InstrumentLost(
                 self.name,
-                message("the meter was switched off and on since it was set up"),
-                message("check its power, then repeat this reading"),
+                "the meter was switched off and on since it was set up",
+                "check its power, then repeat this reading",
             )
         if events & _ERRORS:
-            self._refuse(self._errors(), "reports errors with a reading")
+            self._refuse(self._errors(), message("reports errors with a reading"))
 
 
 def _plain(wanted: str | float | tuple[float, ...]) -> str:

@@ -15,6 +15,7 @@ from drivers.interfaces import (
     OutputState,
     SetOtherwise,
     SupplyLimits,
+    message,
 )
 from drivers.making_safe import STAYS_REMOTE, Attempts
 from drivers.wire.visa import ProvedInstrument
@@ -122,7 +123,9 @@ class WiredSupply(ProvedInstrument):
                 f"switching its output {output} switched its output {' and '.join(others)}, too",
                 "end the coupling of its outputs",
             )
-        self._refuse_troubles(errors, f"reports errors after its output {output} was switched {_word(on)}")
+        self._refuse_troubles(
+            errors, message(f"reports errors after its output {output} was switched {_word(on)}")
+        )
 
     def switch_all_off(self) -> str:
         """Switch every output off and read it back; return "", because nothing is left for a person to do.
@@ -162,7 +165,9 @@ class WiredSupply(ProvedInstrument):
                 "check its power and who else controls it, then repeat this step",
             )
 
-    def _refuse_troubles(self, troubles: Sequence[str], cause: str = "did not take its settings") -> None:
+    def _refuse_troubles(
+        self, troubles: Sequence[str], cause: str = message("did not take its settings")
+    ) -> None:
         if troubles:
             raise InstrumentRefused(
                 self.name,
@@ -181,7 +186,7 @@ class WiredSupply(ProvedInstrument):
 
     def _differences(self, output: str, shown: OutputSettings, wanted: OutputSettings) -> Iterator[str]:
         for difference in self._limits.outputs[output].differences(shown, wanted):
-            yield f"on its output {output} {difference}"
+            yield message(f"on its output {output} {difference}")
 
     # --- implemented by each make -------------------------------------------------------------------
 
@@ -220,12 +225,14 @@ class WiredSupply(ProvedInstrument):
 
         `makers` is the pattern of the maker's name; `called` names the expected supply in the error.
         """
-        reply = self._session.ask("*IDN?", r"([^,]+),([^,]+),([^,]*),([^,]*)", "an identity of four fields")
+        reply = self._session.ask(
+            "*IDN?", r"([^,]+),([^,]+),([^,]*),([^,]*)", message("an identity of four fields")
+        )
         maker, model, serial, firmware = (part.strip() for part in reply.split(","))
         if model not in models or re.fullmatch(makers, maker, re.IGNORECASE) is None:
             raise InstrumentRefused(
                 self.name,
-                f"{self._session.resource} is {reply!r}, not {called}",
+                f"{self._session.resource} identifies itself as {reply!r}, not as {called}",
                 "check address and model in the bench file",
             )
         self._identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
@@ -234,10 +241,10 @@ class WiredSupply(ProvedInstrument):
         """Empty the error queue of an SCPI supply and return its errors."""
         errors = []
         for _ in range(_ERRORS_ASKED):
-            reply = self._session.ask("SYST:ERR?", r'[+-]?\d+,"[^"]*"', "an error number and text")
+            reply = self._session.ask("SYST:ERR?", r'[+-]?\d+,"[^"]*"', message("an error number and text"))
             if int(reply.partition(",")[0]) == 0:
                 break
-            errors.append(f"error {reply}")
+            errors.append(message(f"error {reply}"))
         return errors
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import TYPE_CHECKING, Final
 
-from drivers.interfaces import BadReading, InstrumentRefused
+from drivers.interfaces import BadReading, InstrumentRefused, message
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -44,7 +44,7 @@ class TextLine:
         Raises `InstrumentRefused` for one of the `errors`, `BadReading` for a reply that does not match.
         """
         known = "|".join([f"(?:{self._pattern.pattern})", *map(re.escape, self._errors)])
-        said = session.ask(self._request, known, "a line that fits the pattern in the bench file")
+        said = session.ask(self._request, known, message("a line that fits the pattern in the bench file"))
         if (meaning := self._errors.get(said)) is not None:
             raise InstrumentRefused(
                 self._name,

@@ -12,6 +12,7 @@ from typing import Any, BinaryIO, Final, Literal, NoReturn
 
 from pydantic_core import from_json
 
+from bench.base.languages import message
 from bench.base.text import in_json, repeated, shortened, visible
 
 # --- reading ----------------------------------------------------------------------------------------
@@ -105,8 +106,8 @@ def remedy_for(error: OSError, usual: str) -> str:
     A pipe without a writer and a file that is too large have their own remedies.
     """
     if error.errno == errno.EPIPE:
-        return "check the command that writes into it, or give a file with its output"
-    return "give a smaller file" if error.errno == errno.EFBIG else usual
+        return message("check the command that writes into it, or give a file with its output")
+    return message("give a smaller file") if error.errno == errno.EFBIG else usual
 
 
 def _is_standard_input(about: os.stat_result) -> bool:

@@ -119,16 +119,19 @@ def local_number(text: str) -> str:
 
 # --- catalogues --------------------------------------------------------------------------------------
 
-_AROUND: Final = re.compile(r"([\s:;,.([«»✓✗–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
+_AROUND: Final = re.compile(r"([\s:;,.([«»✓✗⚠▶○■●–·]*)(.*?)([\s:;,.)\]]*)", re.DOTALL)
 """Three groups: the signs before a text, the text, the signs after it."""
 _SURE, _SHORT = 5, 60
 """In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)")
-_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: ")
+_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: |^[,;:] ")
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
-_TYPED: Final = re.compile(r"'bench [^']*'|: bench .*|kept in \{\d+\}")
-"""The parts of an entry whose blanks are to be typed, a command and a path: their values stay as they are."""
+_TYPED: Final = re.compile(
+    r"'bench [^']*'|: bench .*|kept in \{\d+\}|^\{0\} \(SIMULATED\)|columns? \{\d+\}"
+    r"|header lacks \{\d+\}(?:; expected at least \{\d+\})?|(?:shipped|latest|latest runs) are: .*"
+)
+"""The parts of an entry whose blanks are to be typed, a command, path or column: their values stay as they are."""
 
 
 @dataclass(frozen=True)
@@ -237,6 +240,8 @@ class Catalogue:
         for separator in ("\n", "  "):
             if len(parts := text.split(separator)) > 1:
                 return separator.join(map(self.translate, parts))
+        if (told := self._last_clause(text) or self._fault(text)) is not None:
+            return told
         if (end := _SENTENCE_END.search(text)) is not None:  # the rest may be an entry of several sentences
             return f"{self.translate(text[: end.start()])} {self.translate(text[end.end() :])}"
         before, inner, after = _around(text)
@@ -247,6 +252,18 @@ class Catalogue:
             if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
                 return joined
         return self._filled(text, clauses=True) or self._part(text)
+
+    def _last_clause(self, text: str) -> str | None:
+        """Return the translation of a text whose last clause, after a semicolon, has one; None for any other."""
+        before, joint, last = text.rpartition("; ")
+        told = self._part(last)
+        return f"{self.translate(before)}; {told}" if joint and told != last else None
+
+    def _fault(self, text: str) -> str | None:
+        """Return the translation of an instrument's name and its fault, an entry; None for any other text."""
+        name, colon, rest = text.partition(": ")
+        told = (self._exactly(rest) or self._filled(rest)) if colon and " " not in name else None
+        return None if told is None else f"{self.translate(name)}: {told}"
 
     def _part(self, text: str) -> str:
         if is_numeric(text):
@@ -328,7 +345,22 @@ def texts_for_scripts(name: str) -> str:
             for file in one.files.split()
         )
     ]
-    told = {"language": name, "decimal": found.decimal, "units": sorted(_UNITS), "texts": texts}
+    patterns = {
+        "around": _AROUND,
+        "sentence": _SENTENCE_END,
+        "clause": _CLAUSE_END,
+        "typed": _TYPED,
+        "word": _WORD,
+    }
+    told = {
+        "language": name,
+        "decimal": found.decimal,
+        "units": sorted(_UNITS),
+        "sure": _SURE,
+        "short": _SHORT,
+        "patterns": {name: pattern.pattern for name, pattern in patterns.items()},
+        "texts": texts,
+    }
     return f"window.BENCH_TEXTS = {json.dumps(told, ensure_ascii=False)};\n"
 
 

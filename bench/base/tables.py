@@ -12,6 +12,7 @@ from rich.segment import Segment
 from rich.table import Table
 
 from bench.base.computing import quiet
+from bench.base.languages import translated
 from bench.base.text import visible
 
 WIDTH: Final = 120
@@ -19,7 +20,11 @@ WIDTH: Final = 120
 
 
 class Screen(Console):
-    """A console that shows control characters in a text as escapes instead of obeying them."""
+    """A console that translates texts, and shows their control characters as escapes instead of obeying them."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print objects, a text in the current language of prompts if it has a translation."""
+        super().print(*(translated(one) if isinstance(one, str) else one for one in objects), **options)
 
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
         """Yield the rendered segments with control characters escaped, except the console's own control codes."""

@@ -70,9 +70,9 @@ def cause_of(error: Exception) -> str:
     """Return the cause of an error for a message, without Python's type names, error numbers and paths."""
     match error:
         case KeyError():
-            return f"{error} is missing"
+            return message(f"{error} is missing")
         case TypeError() | AttributeError():
-            return "a value of the wrong type"
+            return message("a value of the wrong type")
         case OSError():
             return error.strerror or str(error)
     return str(error)

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask, least_squares, rms
+from bench.base.languages import message
 from bench.calibration.design import Problem
 from bench.calibration.result import (
     Calibration,
@@ -296,20 +297,24 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
     for i, (axis, announced) in enumerate(zip("xyz", nominal, strict=True)):
         found = float(result.block.K[i, i])
         most = "xyz"[int(np.argmax(np.abs(result.block.K[i])))]
-        sentence = (
+        sentence = message(
             f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
         )
         prefix = round(math.log10(abs(found / announced)) / 3) if found else 0
         if prefix and abs(math.log10(abs(found / announced)) - 3 * prefix) < 0.3:
-            sentence += f"; perhaps the signals are in {'mV' if prefix == 1 else 'another unit'}, not in V"
+            sentence += message(
+                f"; perhaps the signals are in {'mV' if prefix == 1 else 'another unit'}, not in V"
+            )
         elif most != axis:
-            sentence += f"; it responds most to {most}: perhaps two channels or installations are swapped"
+            sentence += message(
+                f"; it responds most to {most}: perhaps two channels or installations are swapped"
+            )
         elif found * announced < 0 and result.triangular is None:
-            sentence += "; perhaps the pair of wires is reversed"
+            sentence += message("; perhaps the pair of wires is reversed")
         elif abs(abs(found / announced) - 1) <= FARTHEST:
             continue
         else:
-            sentence += "; check that it is the block of the bench file"
+            sentence += message("; check that it is the block of the bench file")
         sentences.append(sentence)
     return tuple(sentences)
 

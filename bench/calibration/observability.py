@@ -75,7 +75,10 @@ class Direction:
             return message(
                 f"{self.kind} about {axis_in_words(self.axis)} ({self._shown()}): {self._changed(unit)}"
             )
-        return message(f"a change of {self._together()} {self.kind}: {self._changed(unit)}")
+        return message(
+            f"a change of {self._together()} is indistinguishable from a change of coefficients: "
+            f"{self._changed(unit)}"
+        )
 
     def _shown(self) -> str:
         names = self.others

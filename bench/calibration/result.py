@@ -217,8 +217,10 @@ class LackOfFit:
         if self.accepted():
             return ()
         return (
-            f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); 'bench diagnose {source}' "
-            "finds the mistake or the effect",
+            message(
+                f"not accepted: the readings contradict the model (p < {NOT_ACCEPTED_P:g}); "
+                f"'bench diagnose {source}' finds the mistake or the effect"
+            ),
         )
 
 

@@ -163,7 +163,7 @@ def _seen(roots: Sequence[str], processes: int) -> WalkResult:
     seen = WalkResult()
     now_ns = time.time_ns()
     for root in tracked(roots, "looking for runs"):
-        with refusing("check name and permissions", Path(root), verb="read"), os.scandir(root):
+        with refusing("check name and permissions", Path(root), reading=True), os.scandir(root):
             found, waiting = walk([(root, 0)], now_ns, MANY if processes > 1 else None)
         seen.take(found)
         if waiting:

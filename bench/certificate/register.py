@@ -69,7 +69,7 @@ class Register(Chain):
             raise Refused(
                 f"{self.folder}: no file {name} was issued; 'bench certificate register' lists the numbers"
             )
-        with refusing("check name and permissions", self.folder / name, verb="read"):
+        with refusing("check name and permissions", self.folder / name, reading=True):
             content = read_regular(self.folder / name)
         if hashlib.sha256(content).hexdigest() != stated:
             raise Refused(

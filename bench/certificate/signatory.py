@@ -120,7 +120,7 @@ def certificates_in(file: Path) -> tuple[Certificate, ...]:
     from cryptography import x509
 
     try:
-        with refusing("check name and permissions", file, verb="read"):
+        with refusing("check name and permissions", file, reading=True):
             return tuple(x509.load_pem_x509_certificates(read_given(file)))
     except ValueError as error:
         raise Refused(f"{file}: the file has no X.509 certificate (PEM); give a file that has one") from error

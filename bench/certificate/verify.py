@@ -185,7 +185,7 @@ def _verify_forms(found: Findings, file: Path, content: bytes) -> ShownValues:
 
 
 def _content(file: Path) -> bytes:
-    with refusing("check name and permissions", file, verb="read"):
+    with refusing("check name and permissions", file, reading=True):
         return read_given(file)
 
 

@@ -11,7 +11,7 @@ import typer
 from typer.main import get_command
 
 from bench.base import computing
-from bench.base.languages import speaking, translated
+from bench.base.languages import message, speaking, translated
 from bench.base.text import bounded, visible
 from bench.cli.commands import COMMANDS
 from bench.cli.options import app
@@ -100,7 +100,7 @@ def explain(error: Exception, command: str = "bench") -> str:
         return f"{said}{'' if said.endswith(('.', '?')) else '.'} See '{command} --help-all'"
     if isinstance(error, Refused | OSError) or expected(error):
         return sentence(error)
-    return (
+    return message(
         f"'{command}' was stopped by an error of the program ({kind_and_words(error)}); run it again with --debug "
         "and report what it shows"
     )

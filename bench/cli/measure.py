@@ -7,7 +7,7 @@ from dataclasses import replace
 from itertools import count
 from typing import TYPE_CHECKING
 
-from bench.base.languages import message, translated
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
@@ -55,7 +55,7 @@ def _measured(request: RunRequest, json: str | None) -> tuple[Run, int]:
 
     def announce(new: NewRun) -> None:
         if json != "-":
-            out.print(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}")
+            out.print(message(f"bench file: {new.manifest['bench']}, {new.manifest['bench_why']}"))
         printing.notes_on(out, new.notes)
         if request.panel:
             _print_link(new.folder, out, request.operator, request.laboratory)
@@ -85,18 +85,18 @@ def resume(request: ResumeRequest, json: JsonOption = None) -> int:
 def _print_link(run: Path, out: Console, operator: str, laboratory: Path | None) -> None:
     from bench.cli.panel import link_to
 
-    out.print(f"panel: {link_to(run.name, run.parent, operator, laboratory)}", soft_wrap=True)
+    out.print(message(f"panel: {link_to(run.name, run.parent, operator, laboratory)}"), soft_wrap=True)
 
 
 def _results(run: Run, interrupts: Interrupts, json: str | None, out: Console) -> int:
     """Make and print the results of a finished run; return the exit status."""
-    from bench.services.conclusion import NOTE, ending, make_results
+    from bench.services.conclusion import ending, make_results
 
     found = make_results(run, interrupts)
     verdict, *others = ending(found)
     out.print(verdict, style="bold")
     for line in others:
-        out.print(translated(line) if line.startswith(NOTE) else line)
+        out.print(line)
     if found.chart_unwritten:
         printing.notes_aside([f"{found.chart_unwritten} was not written; 'bench chart --page FILE' draws it"])
     printing.write_json([found.to_dict()], json)
@@ -112,7 +112,7 @@ def abort(request: AbortRun) -> int:
     found = unfinished_run(request.name, runs_folder(request.runs))
     left = give_up(found, acting_at("command", request.operator))
     out = printing.console()
-    out.print(f"{found.name}: aborted; its record is kept in {found.folder}")
+    out.print(message(f"{found.name}: aborted; its record is kept in {found.folder}"))
     for sentence in left:
         out.print(f"note: {sentence}")
     return 0
@@ -141,8 +141,12 @@ def control(request: ControlRun) -> int:
         )
     asked = replace(wish, by_person=False, who=acting_at("command", request.operator))
     leave_wish(found.folder, asked)
-    when = "at once" if asked.wish is Wish.STOP else "before the next step, or at the open question"
-    printing.console().print(f"{found.name}: {asked.wish} was sent; it takes effect {when}")
+    when = (
+        message("at once")
+        if asked.wish is Wish.STOP
+        else message("before the next step, or at the open question")
+    )
+    printing.console().print(message(f"{found.name}: {asked.wish} was sent; it takes effect {when}"))
     return 0
 
 
@@ -159,11 +163,13 @@ def _follow(run: Run, request: RunRequest) -> int:
     out = printing.console()
     proposal = _diagnosed([run])
     if proposal is None:
-        out.print(f"{run.name}: no procedure would show more")
+        out.print(message(f"{run.name}: no procedure would show more"))
         return 0
     if not run.simulated and not _agreed(proposal, out):
         out.print(
-            f"{run.name}: not continued; measure it later with: bench run {as_typed(proposal.procedure)}"
+            message(
+                f"{run.name}: not continued; measure it later with: bench run {as_typed(proposal.procedure)}"
+            )
         )
         return 0
     name = next(name for n in count(2) if not run.folder.with_name(name := f"{run.name}-{n}").exists())

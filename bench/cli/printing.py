@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import heard_by, quiet
+from bench.base.languages import message
 from bench.base.text import bounded, visible
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock
@@ -183,7 +184,11 @@ def bench_file(taken: BenchPart, json: str | None, of: str = "") -> None:
     Print nothing if the JSON result, which names the bench file, goes to standard output (`json` is "-").
     """
     if json != "-":
-        console().print(f"bench file{of and f' of {of}'}: {taken.words} ({taken.file})")
+        if of:
+            told = message(f"bench file of {of}: {taken.name}, {taken.why} ({taken.file})")
+        else:
+            told = message(f"bench file: {taken.name}, {taken.why} ({taken.file})")
+        console().print(told)
 
 
 def bench_files(sources: Sequence[Source], json: str | None) -> None:

@@ -9,6 +9,7 @@ import difflib
 from pathlib import Path
 from typing import Final
 
+from bench.base.languages import message
 from bench.base.yaml_files import FileMistake, FileMistakes
 
 PROCEDURES: Final = "procedures"
@@ -52,9 +53,11 @@ def _find(name: str, kind: str, called: str) -> Path:
     if shipped is not None:
         return shipped
     near = difflib.get_close_matches(name.removesuffix(".yaml"), known, n=2, cutoff=0.5)
-    hint = f"did you mean {' or '.join(near)}? " if near else ""
+    hint = message(f"did you mean {' or '.join(near)}? ") if near else ""
     listed = ", ".join(known)
-    text = f"there is no such file, and no shipped {called} of that name; {hint}shipped are: {listed}"
+    text = message(
+        f"there is no such file, and no shipped {called} of that name; {hint}shipped are: {listed}"
+    )
     raise FileMistakes(name, [FileMistake(0, "", text)])
 
 

@@ -244,16 +244,14 @@ def private_folder(folder: Path) -> Path:
         found = folder.lstat()
         if not stat.S_ISDIR(found.st_mode):
             raise RecordError(
-                message(
-                    f"{folder}: a file or a symbolic link is where the panel needs a folder; "
-                    "remove the file or link"
-                )
+                f"{folder}: a file or a symbolic link is where the panel needs a folder; "
+                "remove the file or link"
             )
         if os.name == "posix" and stat.S_IMODE(found.st_mode) & 0o077:
             folder.chmod(0o700)
     except OSError as error:
         raise RecordError(
-            message(f"{folder}: cannot be used ({error.strerror}); choose another folder of runs")
+            f"{folder}: cannot be used ({error.strerror}); choose another folder of runs"
         ) from error
     return folder
 
@@ -297,7 +295,7 @@ class KeptList:
             self._rows, self._stamp = [], None
         except (OSError, ValueError) as error:
             raise RecordError(
-                message(f"{self.path}: cannot be read; put a copy in its place, or {self._remedy}")
+                f"{self.path}: cannot be read; put a copy in its place, or {self._remedy}"
             ) from error
         return list(self._rows)
 
@@ -322,9 +320,7 @@ class KeptList:
                     self.path.chmod(0o600)
         except OSError as error:
             raise RecordError(
-                message(
-                    f"{self.path}: cannot be written ({error.strerror}); free disk space or check permissions"
-                )
+                f"{self.path}: cannot be written ({error.strerror}); free disk space or check permissions"
             ) from error
 
 
@@ -358,9 +354,7 @@ class Access:
 
     def _refuse_own_tokens(self, command: str) -> None:
         if (register := self.persons) is not None:
-            raise RecordError(
-                message(f"persons and tokens are in {register.folder}; use 'bench persons {command}'")
-            )
+            raise RecordError(f"persons and tokens are in {register.folder}; use 'bench persons {command}'")
 
     # --- tokens -------------------------------------------------------------------------------------
 
@@ -372,7 +366,7 @@ class Access:
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
                 raise RecordError(
-                    message(f"{name}: already has a token; use 'bench panel revoke {as_typed(name)}' first")
+                    f"{name}: already has a token; use 'bench panel revoke {as_typed(name)}' first"
                 )
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
@@ -399,9 +393,9 @@ class Access:
             kept = [row for row in rows if row["name"] != name]
             if len(kept) == len(rows):
                 if not rows:
-                    raise RecordError(message(f"{name}: has no token, and nobody else has one"))
+                    raise RecordError(f"{name}: has no token, and nobody else has one")
                 there = ", ".join(str(row["name"]) for row in rows)
-                raise RecordError(message(f"{name}: has no token; name one of those who have: {there}"))
+                raise RecordError(f"{name}: has no token; name one of those who have: {there}")
             rows[:] = kept
 
     # --- one-time links -----------------------------------------------------------------------------

@@ -182,6 +182,6 @@ def _read(file: Path, rows: Sequence[Mapping[str, Any]], kind: type[Row]) -> lis
         except ValidationError as error:
             names = ", ".join(dict.fromkeys(str(one["loc"][0]) for one in error.errors() if one["loc"]))
             raise RecordError(
-                message(f"{file}, row {number}: cannot be understood (wrong or missing: {names}); {REMEDY}")
+                f"{file}, row {number}: cannot be understood (wrong or missing: {names}); {REMEDY}"
             ) from error
     return found

@@ -11,7 +11,6 @@ from typing import Final
 
 from bench.base.computing import uncollected
 from bench.base.files import open_regular
-from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.readings.table import Reading
@@ -80,10 +79,8 @@ class RunView:
             self._take(event)
         except (ValueError, KeyError, TypeError, IndexError, AttributeError) as error:
             raise RecordError(
-                message(
-                    f"event {event.number} of the record contradicts those before it ({cause_of(error)}); check "
-                    "the record with 'bench show RUN --verify'"
-                )
+                f"event {event.number} of the record contradicts those before it ({cause_of(error)}); check "
+                "the record with 'bench show RUN --verify'"
             ) from error
 
     def _take(self, event: Event) -> None:
@@ -233,9 +230,7 @@ class Tail:
                 size = file.seek(0, SEEK_END)
                 if size < self._read:
                     raise RecordError(
-                        message(
-                            f"{self._path}: became shorter, as another program changed it; restore it from a copy"
-                        )
+                        f"{self._path}: became shorter, as another program changed it; restore it from a copy"
                     )
                 file.seek(self._read)
                 for line in file:
@@ -249,7 +244,7 @@ class Tail:
             return
         except OSError as error:
             raise RecordError(
-                message(f"{self._path}: cannot be read ({error.strerror}); check its permissions")
+                f"{self._path}: cannot be read ({error.strerror}); check its permissions"
             ) from error
 
     def _event(self, line: bytes) -> Event:
@@ -264,8 +259,6 @@ class Tail:
 
     def _broken(self) -> RecordError:
         return RecordError(
-            message(
-                f"{self._path}, line {self._count + 1}: the record cannot be trusted; 'bench show RUN --verify' "
-                "shows why"
-            )
+            f"{self._path}, line {self._count + 1}: the record cannot be trusted; 'bench show RUN --verify' "
+            "shows why"
         )

@@ -154,7 +154,7 @@ def _read(
                     "'series'",
                 )
         except BadCell as problem:
-            bad.append(f"{path}, line {line}, column {problem.column}: {problem}")
+            bad.append(message(f"{path}, line {line}, column {problem.column}: {problem}"))
             verification_missing += VERIFICATION in (cell.strip() for cell in cells)
             continue
         seen[key] = line
@@ -298,7 +298,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
     if missing:
         hint = "" if present else _on_units(header)
         if not hint and not set(REQUIRED) & set(header):
-            hint = " ('bench import --columns MAP.yaml' reads other logs)"
+            hint = message(" ('bench import --columns MAP.yaml' reads other logs)")
         raise ReadingsError(
             f"{path}, line 1: the header lacks {', '.join(missing)}; expected at least {_example_header()}{hint}"
         )
@@ -312,10 +312,10 @@ def _on_units(header: Iterable[str]) -> str:
         return ""
     read = ", ".join(f"{unit} (ux_{suffix})" for suffix, unit in UNITS.items())
     mapped = f"{{columns: {found[0]}, unit: {found[1][:-1]}V}}"
-    by_map = (
+    by_map = message(
         f", or let 'bench import --columns MAP.yaml' convert them, by {found[0][:3]}v: {mapped} in MAP.yaml"
     )
-    return (
+    return message(
         f"; signals are read in {read} only, not as {found[0]}: convert them"
         f"{by_map if found[1].endswith('v') else ''}"
     )
@@ -336,7 +336,7 @@ def _row(
         raise BadCell(
             header[min(len(cells), len(header) - 1)],
             f"expected {len(header)} cells as in the header, got {len(cells)}"
-            + (" (use a dot, not a decimal comma)" if len(cells) > len(header) else ""),
+            + (message(" (use a dot, not a decimal comma)") if len(cells) > len(header) else ""),
         )
     text = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
     label = text["installation"]
@@ -352,7 +352,7 @@ def _row(
         "angle_deg": angle(text, "angle_deg", optional=label in UNORIENTED),
         "target_deg": angle(text, "target_deg", optional=True),
         "direction": direction(text),
-        "time_s": number(text, "time_s", "a time in seconds", optional=True),
+        "time_s": number(text, "time_s", message("a time in seconds"), optional=True),
         "temperature_c": temperature(text, "temperature_c"),
         "samples": integer(text, "samples", default=1),
     }
@@ -364,14 +364,18 @@ def _row(
         raise BadCell(*wrong)
     for name in (CHAMBER_C, METER_C, ROOM_C):
         temperature(text, name)
-    number(text, SINCE_POWER_ON_S, "a time in seconds, 0 or more", optional=True, least=0.0)
-    number(text, REFERENCE_V, "the voltage at the inputs in V", optional=True)
-    number(text, REFERENCE_SD_V, "the scatter of the meters that read it in V", optional=True)
+    number(text, SINCE_POWER_ON_S, message("a time in seconds, 0 or more"), optional=True, least=0.0)
+    number(text, REFERENCE_V, message("the voltage at the inputs in V"), optional=True)
+    number(text, REFERENCE_SD_V, message("the scatter of the meters that read it in V"), optional=True)
     for name in filter(is_of_a_rail, header):
-        number(text, name, "a voltage or a current of a rail in V or A", optional=True)
+        number(text, name, message("a voltage or a current of a rail in V or A"), optional=True)
     for name in signals:
-        row[name] = number(text, name, "a number with a dot as decimal sign", optional=name in unused)
-        row[_sd(name)] = number(text, _sd(name), "a standard deviation, 0 or more", optional=True, least=0.0)
+        row[name] = number(
+            text, name, message("a number with a dot as decimal sign"), optional=name in unused
+        )
+        row[_sd(name)] = number(
+            text, _sd(name), message("a standard deviation, 0 or more"), optional=True, least=0.0
+        )
     return row
 
 
@@ -383,8 +387,8 @@ def _sd(signal: str) -> str:
 def _listing(bad: list[str]) -> str:
     lines = bad[:LISTED_AT_ONCE]
     if len(bad) > LISTED_AT_ONCE:
-        lines.append(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)")
-    lines.append("nothing was used; correct the rows, or skip them with --skip-bad-rows")
+        lines.append(message(f"… and {len(bad) - LISTED_AT_ONCE} more bad rows ({len(bad)} in all)"))
+    lines.append(message("nothing was used; correct the rows, or skip them with --skip-bad-rows"))
     return "\n".join(lines)
 
 
@@ -454,7 +458,9 @@ def _times_that_fall(readings: Readings, lines: Sequence[int]) -> list[str]:
     back = known[1:][np.diff(readings.time_s[known]) < 0.0]
     if not len(back):
         return []
-    where = f"line {lines[back[0]]}" + (f" and {len(back) - 1} more" if len(back) > 1 else "")
+    where = message(f"line {lines[back[0]]}") + (
+        message(f" and {len(back) - 1} more") if len(back) > 1 else ""
+    )
     return [message(f"time_s runs backwards ({where}): put the rows back in the order of measurement")]
 
 
@@ -466,8 +472,10 @@ def _large_scatter(readings: Readings, lines: Sequence[int]) -> list[str]:
         if len(readings) > 2 and np.nanmax(np.append(sd, 0.0)) > span > 0.0:
             worst = int(np.nanargmax(sd))
             told.append(
-                f"the standard deviation of u{axis} in line {lines[worst]}, {sd[worst]:.3g} {readings.unit}, "
-                f"exceeds the spread of all its readings, {span:.3g} {readings.unit}: check its unit"
+                message(
+                    f"the standard deviation of u{axis} in line {lines[worst]}, {sd[worst]:.3g} {readings.unit}, "
+                    f"exceeds the spread of all its readings, {span:.3g} {readings.unit}: check its unit"
+                )
             )
     return told
 
@@ -515,10 +523,10 @@ def read_centrifuge(path: Path) -> CentrifugePoints:
             row += [number(text, name, "a standard uncertainty", least=0.0) for name in UNCERTAIN]
             row += [number(text, name, "a signal in V", optional=True) for name in SIGNALS]
         except BadCell as wrong:
-            bad.append(f"{path}, line {line}, column {wrong.column}: {wrong}")
+            bad.append(message(f"{path}, line {line}, column {wrong.column}: {wrong}"))
             continue
         if np.all(np.isnan(row[5:])):
-            bad.append(f"{path}, line {line}: no signal; give one or more of {', '.join(SIGNALS)}")
+            bad.append(message(f"{path}, line {line}: no signal; give one or more of {', '.join(SIGNALS)}"))
         rows.append(row)
     if bad or not rows:
         raise ReadingsError(

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import ARCSEC, Floats, rms, u_of
+from bench.base.languages import message
 from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -351,12 +352,12 @@ def _triangular(found: Triangular) -> dict[str, Any]:
 
 def headline(name: str, found: Calibration) -> str:
     """Return a line with the name of the source, the estimator, the model and the number of readings."""
-    readings = f"{len(found.fitted)} readings"
+    readings = message(f"{len(found.fitted)} readings")
     if found.free is not None:
-        readings += f", {len(found.free)} by their modulus"
+        readings += message(f", {len(found.free)} by their modulus")
     if found.skipped:
-        readings += f", {found.skipped} bad rows skipped"
-    return (
+        readings += message(f", {found.skipped} bad rows skipped")
+    return message(
         f"Calibration of {name}: {found.estimator}, model {found.model}, {readings}, "
         f"local g = {found.g_m_s2:.6g} m/s²"
     )
@@ -399,7 +400,7 @@ def sources_table(found: Calibration) -> Table:
 def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: Console) -> None:
     """Print the coefficients, noise, fit, outliers, notes and assumptions."""
     out.print(headline(name, found))
-    out.print(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}")
+    out.print(message(f"U = K a + U0, a the specific force in g (+1 g on an upward axis), U in {found.unit}"))
     out.print(coefficients_table(found))
     own = intrinsic_of(found)
     if own is not None:
@@ -414,7 +415,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
         unit = "times" if value.unit == "1" else value.unit
         out.print(f"effect {effect} = {value.value:.4g} ± {value.u:.2g} {unit}")
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
-        out.print("outliers: none found")
+        out.print(message("outliers: none found"))
     for outlier in found.outliers:
         out.print(f"outlier: {outlier.text()}; its weight is 0")
     if found.free is not None:
@@ -423,7 +424,7 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
         out.print(f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g{without}")
     print_notes(out, notes)
     for sentence in found.assumed:
-        out.print(f"assumed: {sentence}")
+        out.print(message(f"assumed: {sentence}"))
 
 
 def _noise_in_words(found: Calibration) -> str:
@@ -441,8 +442,8 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the numbers of the test."""
-    how = "; u is widened for this misfit" if found.shared else ""
-    how = f"; u is {found.birge:.2g} times that of the noise" if found.birge > 1 else how
+    how = message("; u is widened for this misfit") if found.shared else ""
+    how = message(f"; u is {found.birge:.2g} times that of the noise") if found.birge > 1 else how
     accepted = found.lack_of_fit.accepted()
-    said = "shown at 1 %" if accepted else "THE MODEL DOES NOT FIT the readings"
+    said = message("shown at 1 %") if accepted else message("THE MODEL DOES NOT FIT the readings")
     return parts.fit_in_words(found.lack_of_fit, f"{said}{how}")

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.base.numbers import MINUS, fixed, probability, scale_for, two_digits
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import as_text, print_notes, table
@@ -199,11 +200,11 @@ class CheckBlockChart:
         """Return the verdict on the last run as a sentence."""
         if not self.chart.verdicts:
             first = self.chart.baseline[-1].name
-            return f"NO VERDICT yet: {first} is the first run, and there is nothing to compare with"
+            return message(f"NO VERDICT yet: {first} is the first run, and there is nothing to compare with")
         last = self.chart.verdicts[-1]
         if last.accepted:
-            return f"IN CONTROL: {last.run}"
-        return f"OUT OF CONTROL: {last.run}: {'; '.join(last.reasons)}"
+            return message(f"IN CONTROL: {last.run}")
+        return message(f"OUT OF CONTROL: {last.run}: {'; '.join(last.reasons)}")
 
     @cached_property
     def result(self) -> ChartResult:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, TypeVar
 from pydantic import Field
 
 from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.calibration.result import LackOfFit, SourceOfError
 from bench.model.geometry import COEFFICIENTS
@@ -35,8 +36,8 @@ by_coefficient: Final = partial(by_name, COEFFICIENTS)
 """`by_name` for the twelve coefficients."""
 
 
-REPEATS: Final = "lack of fit against the repeats"
-TOO_FEW: Final = "lack of fit: too few repeats to tell"
+REPEATS: Final = message("lack of fit against the repeats")
+TOO_FEW: Final = message("lack of fit: too few repeats to tell")
 
 
 def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold: str = TOO_FEW) -> str:
@@ -46,8 +47,8 @@ def fit_in_words(fit: LackOfFit, contradicted: str, what: str = REPEATS, untold:
     """
     if not math.isfinite(fit.p):
         return untold
-    verdict = contradicted if fit.shown else "none shown at 1 %"
-    return f"{what}: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}"
+    verdict = contradicted if fit.shown else message("none shown at 1 %")
+    return message(f"{what}: chi2 {fit.chi2:.1f} for {fit.dof}, p = {fit.p:.2g}: {verdict}")
 
 
 # --- sources of a result ------------------------------------------------------------------------------

@@ -8,7 +8,9 @@ from typing import Any, Final
 
 from pydantic import Field
 from rich.console import Console
+from rich.text import Text
 
+from bench.base.languages import message, translated
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import civil_minute
@@ -73,15 +75,18 @@ class RunsResult(ResultModel):
     def print_on(self, folder: Path, out: Console) -> None:
         """Print a line (80 characters) for each run; below it, any damage and the command that resumes the run."""
         if not self.runs:
-            out.print(f"{folder}: no runs there; name their folder with --runs")
+            out.print(message(f"{folder}: no runs there; name their folder with --runs"))
             return
-        out.print(_line("run", ("begun", "instruments", "state", "readings", "verdict")), style="bold")
+        heads = (
+            translated(one, "column") for one in ("begun", "instruments", "state", "readings", "verdict")
+        )
+        out.print(Text(_line(translated("run", "column"), tuple(heads)), style="bold"))
         for run in self.runs:
             begun = run.created[:16].replace("T", " ")
             state, _, damage = run.state.partition(": ")
-            out.print(
-                _line(run.name, (begun, run.instruments, state, run.readings, (run.verdict or "-").upper()))
-            )
+            instruments, state = translated(run.instruments, "column"), translated(state)
+            verdict = translated(run.verdict or "-").upper()
+            out.print(Text(_line(run.name, (begun, instruments, state, run.readings, verdict))))
             for further in filter(None, (damage, run.to_go_on)):
                 out.print(f"    {further}")
 

@@ -169,6 +169,16 @@ HEADLINES: Final = {
     Statement.FAIL: message("failed"),
 }
 """The words for the overall verdict of a verification."""
+VERDICTS: Final = {
+    Statement.PASS: message("PASSED"),
+    Statement.CONDITIONAL_PASS: message("CONDITIONAL PASS"),
+    Statement.CONDITIONAL_FAIL: message("CONDITIONAL FAIL"),
+    Statement.INCONCLUSIVE: message("INCONCLUSIVE"),
+    Statement.NOT_COMPLETE: message("NOT COMPLETE"),
+    Statement.MISFIT: message("NOT ACCEPTED"),
+    Statement.FAIL: message("FAILED"),
+}
+"""The words that begin a line with the verdict."""
 
 _LEAST_SHOWN: Final = 1e-4
 _MOST: Final = 2
@@ -177,8 +187,7 @@ _MOST: Final = 2
 
 def headline(result: Verification, *, upper: bool = False) -> str:
     """Return the verdict in a few words; a conditional pass also states whether the rule accepts it."""
-    word = HEADLINES[result.statement]
-    word = word.upper() if upper else word
+    word = (VERDICTS if upper else HEADLINES)[result.statement]
     if result.statement is Statement.CONDITIONAL_PASS:
         left_open = message("the customer decides") if result.left_open else message("not accepted")
         return f"{word}, {message('accepted') if result.passed else left_open}"
@@ -239,23 +248,29 @@ def risk_in_words(result: Verification) -> str:
 def verdict_line(name: str, result: Verification) -> str:
     """Return the verdict on the source `name` in one line: outcome, basis, and number of missing points."""
     count = result.missing
-    missing = f"{count} verification point{' is' if count == 1 else 's are'} missing" if count else ""
-    return ", ".join(filter(None, (outcome_in_words(name, result), basis_in_words(result), missing)))
+    missing = (
+        message(f"{count} verification point{' is' if count == 1 else 's are'} missing") if count else ""
+    )
+    return outcome_in_words(
+        name, result, "".join(f", {one}" for one in (basis_in_words(result), missing) if one)
+    )
 
 
-def outcome_in_words(name: str, result: Verification) -> str:
-    """Return the verdict on the source `name`, with the largest |Δg|, its U, and the limit."""
+def outcome_in_words(name: str, result: Verification, then: str = "") -> str:
+    """Return the verdict on the source `name`, with the largest |Δg|, its U, and the limit, followed by `then`."""
     worst = result.worst
-    return (
+    return message(
         f"{name}: {headline(result, upper=True)}: worst |Δg| = {abs(worst.delta_g) * 1e6:.1f} µg "
-        f"± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g}), limit {result.limit_g * 1e6:.4g} µg"
+        f"± {worst.U * 1e6:.1f} µg (U, k = {worst.k:.3g}), limit {result.limit_g * 1e6:.4g} µg{then}"
     )
 
 
 def basis_in_words(result: Verification) -> str:
     """Return in words the rule of a verdict, its test uncertainty ratio and the risk of the decision."""
-    facts = (f"rule: {result.decision.words}", f"TUR {result.tur:.2g}", risk_in_words(result))
-    return ", ".join(filter(None, facts))
+    rule, risk = result.decision.words, risk_in_words(result)
+    if not risk:
+        return message(f"rule: {rule}, TUR {result.tur:.2g}")
+    return message(f"rule: {rule}, TUR {result.tur:.2g}, {risk}")
 
 
 def advice(result: Verification) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import cache_folder, read_json, read_regular, write_whole
+from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
@@ -169,10 +170,15 @@ class Run:
         if out:
             asked = ", ".join(self.manifest.get("until", ()))
             notes.append(
-                f"measured until {asked}: {len(planned) - needed} of {len(planned)} planned readings were left out"
+                message(
+                    f"measured until {asked}: {len(planned) - needed} of {len(planned)} planned readings "
+                    "were left out"
+                )
             )
         if taken != needed:
-            notes.append(f"the run is {history.state}: {taken} of {needed} planned readings were taken")
+            notes.append(
+                message(f"the run is {history.state}: {taken} of {needed} planned readings were taken")
+            )
         if withdrawn := len({one[0] for one in history.taken if one is not None} - history.progress.done):
             notes.append(
                 f"readings that do not count, because their repetition was asked for and not taken: {withdrawn}"
@@ -210,8 +216,8 @@ def find_run(name: str, runs: Path) -> Run:
     for folder in (runs / name, Path(name)):
         if (folder / MANIFEST).is_file():
             return Run(folder)
-    there = ", ".join(run.name for run in all_runs(runs)[-5:]) or "none"
-    path = "that path is not the folder of a run" if Path(name).exists() else "no such path"
+    there = ", ".join(run.name for run in all_runs(runs)[-5:]) or message("none")
+    path = message("that path is not the folder of a run") if Path(name).exists() else message("no such path")
     raise RecordError(f"{name}: no run of that name in {runs} and {path}; the latest runs are: {there}")
 
 

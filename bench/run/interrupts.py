@@ -113,7 +113,9 @@ class Interrupts:
         if again or self._held:
             self.haste.asked = True
             with suppress(Exception):  # the terminal may be closed, or in the middle of a print
-                print("stopping: making the bench safe, please wait", file=sys.stderr)
+                from bench.base.languages import message, translated  # this module imports nothing heavy
+
+                print(translated(message("stopping: making the bench safe, please wait")), file=sys.stderr)
         elif self._shielded:
             self._pending = True
         else:
@@ -121,8 +123,10 @@ class Interrupts:
 
     def _end_at_once(self, last_words: str) -> None:
         with suppress(Exception):  # the terminal may be closed
+            from bench.base.languages import translated
+
             sys.stdout.flush()
-            print(f"bench: {last_words}", file=sys.stderr, flush=True)
+            print(f"bench: {translated(last_words)}", file=sys.stderr, flush=True)
         self._end(NOT_DONE)
 
     def _dropped(self, dropped: sys.UnraisableHookArgs) -> None:

@@ -513,8 +513,8 @@ def confirm(person: Person, prompt: Prompt) -> None:
         put = replace(prompt, id=f"{prompt.id}#wait{wait}", text=text)
     raise BenchError(
         "operator",
-        message(f"answered no several times to: {prompt.text}"),
-        message("do what the question asks, then resume the run"),
+        f"answered no several times to: {prompt.text}",
+        "do what the question asks, then resume the run",
     )
 
 
@@ -523,8 +523,8 @@ def agree(person: Person, prompt: Prompt) -> None:
     if ask(person, prompt).lower() in NO:
         raise BenchError(
             "operator",
-            message(f"answered no to: {prompt.text}"),
-            message("remove the reason, then start or resume again"),
+            f"answered no to: {prompt.text}",
+            "remove the reason, then start or resume again",
         )
 
 

@@ -133,8 +133,8 @@ class UnitPower:
         if ask(self.person, prompt) != SET_AGAIN:
             raise BenchError(
                 self.supply.name,
-                message(f"it is on with other settings than the bench file states: {otherwise}"),
-                message("correct its settings or the bench file, then start again"),
+                f"it is on with other settings than the bench file states: {otherwise}",
+                "correct its settings or the bench file, then start again",
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:
@@ -228,7 +228,9 @@ class UnitPower:
         states = self.supply.state(key)
         self._looked_s = self.clock.now_s()
         wrong = [
-            f"rail {rail.name} {what}" for rail in self.section.rails for what in self._wrong(states, rail)
+            message(f"rail {rail.name} {what}")
+            for rail in self.section.rails
+            for what in self._wrong(states, rail)
         ]
         if wrong:
             self.tell(EventType.POWER, {"power": "fault", "wrong": wrong})
@@ -298,31 +300,31 @@ class UnitPower:
             yield not_on
             return
         if state.limiting:
-            yield f"is in current limit, with {state.voltage_v:.4g} V at {state.current_a:.3g} A"
+            yield message(f"is in current limit, with {state.voltage_v:.4g} V at {state.current_a:.3g} A")
         low_v, high_v = rail.window_v
         if not low_v <= state.voltage_v <= high_v:
-            yield f"has {state.voltage_v:.5g} V, not {low_v:g} to {high_v:g} V"
+            yield message(f"has {state.voltage_v:.5g} V, not {low_v:g} to {high_v:g} V")
         low_a, high_a = rail.current.minimum, rail.current.maximum
         if not low_a <= state.current_a <= high_a:
-            yield f"gives {state.current_a:.3g} A, not {low_a:g} to {high_a:g} A"
+            yield message(f"gives {state.current_a:.3g} A, not {low_a:g} to {high_a:g} A")
         limits = self.fed.limits
         if limits is not None and rail.output in limits.outputs:
             differences = limits.outputs[rail.output].differences(state.settings, rail.settings)
-            yield from (f"was set otherwise: {what}" for what in differences)
+            yield from (message(f"was set otherwise: {what}") for what in differences)
 
     def _not_on(self, states: Mapping[str, OutputState], rail: RailSection) -> str:
         state = self._of(states, rail)
         if state.tripped:
-            return "was switched off by a protection of the supply, which tripped"
-        return "" if state.on else "is off: it was switched off, or the supply was without power"
+            return message("was switched off by a protection of the supply, which tripped")
+        return "" if state.on else message("is off: it was switched off, or the supply was without power")
 
     def _of(self, states: Mapping[str, OutputState], rail: RailSection) -> OutputState:
         if rail.output not in states:
             has = ", ".join(states)
             raise InstrumentRefused(
                 self.supply.name,
-                message(f"it has no output {rail.output} (it has {has})"),
-                message("correct the bench file"),
+                f"it has no output {rail.output} (it has {has})",
+                "correct the bench file",
             )
         return states[rail.output]
 

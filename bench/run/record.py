@@ -21,6 +21,7 @@ from typing import Any, BinaryIO, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
+from bench.base.languages import message
 from bench.base.text import as_typed, cause_of, in_json
 from bench.config.procedure.plan import Plan, Read, Turn
 from bench.readings.table import Reading
@@ -508,7 +509,7 @@ def _refuse_taken(folder: Path) -> None:
 
 
 def _cannot_write(folder: Path, error: OSError) -> RecordError:
-    remedy = "free disk space" if error.errno in DISK_FULL else "make the folder writable"
+    remedy = message("free disk space") if error.errno in DISK_FULL else message("make the folder writable")
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; {remedy}, then "
         "continue"

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import stdtr, stdtrit
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.readings.table import Outlier
 from bench.run.events import EventType
 from drivers.clock import Clock
@@ -67,11 +68,13 @@ def _statistics(channel: str, samples: Sequence[float]) -> Statistics:
     x = np.asarray(samples, dtype=np.float64)
     n = len(x)
     if not n:
-        raise ValueError(f"channel {channel}: no samples; check its voltmeter")
+        raise ValueError(message(f"channel {channel}: no samples; check its voltmeter"))
     mean = float(x.sum()) / n
     if not math.isfinite(mean):
         bad = n - int(np.isfinite(x).sum())
-        raise ValueError(f"channel {channel}: {bad} of {n} samples are not finite numbers; check its wiring")
+        raise ValueError(
+            message(f"channel {channel}: {bad} of {n} samples are not finite numbers; check its wiring")
+        )
     deviation = x - mean
     squares = float(deviation @ deviation)
     if squares <= n * (_ROUNDING * mean) ** 2:
@@ -265,15 +268,17 @@ def _not_settled(criterion: Criterion, state: Settling, names: Sequence[str], un
         if span > criterion.precision
     ]
     what = (
-        f"still moved by {', '.join(moving)} in {criterion.window_s:g} s"
+        message(f"still moved by {', '.join(moving)} in {criterion.window_s:g} s")
         if moving
-        else "was sampled too rarely to fill the window"
+        else message("was sampled too rarely to fill the window")
     )
-    cause = (
+    cause = message(
         f"not settled after {criterion.timeout_s:g} s: it {what}, where {criterion.precision:.3g} {unit} "
         "is allowed"
     )
-    remedy = "find what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    remedy = message(
+        "find what moves or warms it and repeat the step, or lengthen the timeout in the procedure"
+    )
     return NotSettled("block", cause, remedy, state)
 
 

@@ -252,8 +252,8 @@ class TerminalPerson:
         if not line:
             raise NoAnswer(
                 "operator",
-                message(f"the input ended before an answer to: {prompt.text}"),
-                message("resume the run and answer it"),
+                f"the input ended before an answer to: {prompt.text}",
+                "resume the run and answer it",
             )
         return Answer(prompt.id, in_english(prompt, line.strip()))
 

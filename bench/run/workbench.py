@@ -312,7 +312,7 @@ class Workbench:
 
     def do_temperature(self, step: SetTemperature) -> TemperatureSet:
         """Set the chamber to the step's set point without waiting for its air; return the set point, °C."""
-        chamber = self._chamber(f"{step.key}: the procedure sets a temperature")
+        chamber = self._chamber(message(f"{step.key}: the procedure sets a temperature"))
         before_c, self.demanded_c = self.demanded_c, step.target_c
         try:
             chamber.set_temperature(step.target_c, step.key)
@@ -393,7 +393,7 @@ class Workbench:
         if step.what == "signals":
             state = wait_until_settled(self._quick_signals, criterion, self.clock, nap)
         else:
-            chamber = self._chamber(f"{step.key}: the procedure waits for a temperature")
+            chamber = self._chamber(message(f"{step.key}: the procedure waits for a temperature"))
             if chamber.asks_person:
                 raise BenchError(
                     chamber.name,

@@ -213,7 +213,7 @@ def _as_text(value: object) -> str:
 
 
 DEFAULT_BENCH: Final = "paper-stand"
-_NONE_NAMED: Final = "the shipped one, because no file was named"
+_NONE_NAMED: Final = message("the shipped one, because no file was named")
 
 
 @dataclass(frozen=True)
@@ -253,8 +253,9 @@ class BenchTaken:
     @property
     def reason(self) -> str:
         """The reason for this bench file, and the reason why the run was begun with this file."""
-        chosen = f"; chosen at the start as {self.chosen.removeprefix('as ')}" if self.chosen else ""
-        return f"{self.why}{chosen}"
+        if not self.chosen:
+            return self.why
+        return message(f"{self.why}; chosen at the start as {self.chosen.removeprefix('as ')}")
 
     def part(self) -> BenchPart:
         """Return name, path, reason and SHA-256 of the bench file as a part of a result."""
@@ -311,26 +312,30 @@ def bench_of(
     origin = told.origin
     if origin is None:
         return find_bench_file(given), told.notes
-    meant = f"the bench file that {Path(name).name} was measured with ({origin.bench.file})"
+    meant = message(f"the bench file that {Path(name).name} was measured with ({origin.bench.file})")
     if given is not None or os.environ.get("BENCH_FILE"):
         taken = find_bench_file(given)
         other = taken.sha256 != origin.bench.sha256
-        return taken, (f"evaluated with {taken.where} instead of {meant}",) if other else ()
+        return taken, (message(f"evaluated with {taken.where} instead of {meant}"),) if other else ()
     path = origin.bench_file(Path(name))
     if path is None:
         taken = find_bench_file(None)
         return taken, (
-            f"{meant} was moved or changed (SHA-256 {origin.bench.sha256[:12]}…): used is {taken.words}; name it "
-            "with --bench",
+            message(
+                f"{meant} was moved or changed (SHA-256 {origin.bench.sha256[:12]}…): used is {taken.words}; "
+                "name it with --bench"
+            ),
         )
-    why = f"as {Path(name).name}{SUFFIX} names it, of run {origin.run}"
+    why = message(f"as {Path(name).name}{SUFFIX} names it, of run {origin.run}")
     return BenchTaken(load_recorded_bench(path), str(path), origin.bench.sha256, why), ()
 
 
 def _of_run(run: Run, given: str | Path | BenchFile | None) -> tuple[BenchTaken, tuple[str, ...]]:
     if given is not None:
         taken = find_bench_file(given)
-        return taken, (f"evaluated with {taken.where} instead of the bench file that the run recorded",)
+        return taken, (
+            message(f"evaluated with {taken.where} instead of the bench file that the run recorded"),
+        )
     path = run.folder / BENCH
     recorded = load_recorded_bench(path)
     chosen = run.manifest.get("bench_why", "")

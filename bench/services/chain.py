@@ -90,7 +90,7 @@ class Chain:
     def kept(self, digest: str) -> bytes:
         """Return the stored content with SHA-256 `digest`. Raises `Refused` if it is missing or was changed."""
         file = self.folder / MADE_FROM / digest
-        with refusing("restore it from a copy, or check its permissions", file, verb="read"):
+        with refusing("restore it from a copy, or check its permissions", file, reading=True):
             content = read_regular(file)
         if hashlib.sha256(content).hexdigest() != digest:
             raise Refused(f"{file}: was changed; restore it from a copy")
@@ -124,7 +124,7 @@ class Chain:
     def read_lines(self) -> Self:
         """Read the lines added since the last reading; change no file. Raises `Refused` for a damaged register."""
         path = self.folder / LINES
-        with refusing("check name and permissions", self.folder, verb="read"):
+        with refusing("check name and permissions", self.folder, reading=True):
             if (path.stat().st_size if path.exists() else 0) < self.length:
                 raise Refused(f"{path}: the last lines are missing; restore the file from a copy")
             if path.exists():

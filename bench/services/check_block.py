@@ -424,8 +424,8 @@ def _in_folder(folder: Path, bench: Bench, real: bool | None) -> tuple[list[Run]
     if not runs:
         dry = " --dry-run" if real is False else ""
         raise Refused(
-            f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it with "
-            f"'bench run PROCEDURE --bench FILE --unit {as_typed(section.serial)}{dry}'"
+            f"{folder}: no finished run of the check block {section.serial} of {file.name} there; measure it "
+            f"with 'bench run PROCEDURE --bench FILE --unit {as_typed(section.serial)}{dry}'"
         )
     return runs, section, path
 

@@ -371,7 +371,7 @@ def impossible(covariance: Floats) -> str:
 
 def _read(path: Path) -> Any:
     try:
-        with refusing("check name and permissions", path, verb="read"):
+        with refusing("check name and permissions", path, reading=True):
             return from_text(read_given(path).decode())
     except ValueError as error:
         raise _no_result(str(path), ", but text of another kind") from error

@@ -95,8 +95,8 @@ class Conclusion:
 
 def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
     """Compute and write a finished run's results. Raises `Refused` if a signal or an `OSError` stops it."""
-    kept = f"all readings are kept in {run.folder}"
-    again = (
+    kept = message(f"all readings are kept in {run.folder}")
+    again = message(
         f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
         "the results"
     )
@@ -104,14 +104,16 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
         interrupts.release(again)
         return conclude(run)
     except KeyboardInterrupt:
-        raise Refused(again if run.results_missing else f"stopped; {kept} with their results") from None
+        raise Refused(
+            again if run.results_missing else message(f"stopped; {kept} with their results")
+        ) from None
 
 
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    again = f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results"
-    with refusing(f"the run is finished and kept; {again}"):
+    again = message(f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results")
+    with refusing(message(f"the run is finished and kept; {again}")):
         found = {**_evaluated(source), **charted(run)}
         concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
         made = [name for name in _MADE if (run.folder / name).is_file()]
@@ -199,7 +201,7 @@ def ending(found: Conclusion) -> list[str]:
     chart = [] if found.chart is None else [found.chart.sentence()]
     lines = [*chart, _verdict(found), *_basis(found)]
     if found.no_chart:
-        lines.append(f"check block: no control chart: {found.no_chart}")
+        lines.append(message(f"check block: no control chart: {found.no_chart}"))
     lines += _shortened(
         [
             f"{NOTE}: {look}"
@@ -211,20 +213,20 @@ def ending(found: Conclusion) -> list[str]:
 
 
 def _verdict(found: Conclusion) -> str:
-    name = f"{found.run.name} (SIMULATED)" if found.run.simulated else found.run.name
+    name = message(f"{found.run.name} (SIMULATED)") if found.run.simulated else found.run.name
     if found.calibration is None:
-        return f"{name}: MEASURED; no calibration from it: {found.no_calibration}"
+        return message(f"{name}: MEASURED; no calibration from it: {found.no_calibration}")
     if not found.calibration.accepted:
-        return f"{name}: NOT ACCEPTED: the model does not fit the readings"
+        return message(f"{name}: NOT ACCEPTED: the model does not fit the readings")
     if found.verification is not None:
         return outcome_in_words(name, found.verification.verification)
-    return f"{name}: CALIBRATED; no verdict, as the procedure has no verification points"
+    return message(f"{name}: CALIBRATED; no verdict, as the procedure has no verification points")
 
 
 def _basis(found: Conclusion) -> Iterator[str]:
     if found.short:
         goals = ", ".join(found.run.manifest.get("until", ()))
-        yield f"NOT REACHED: {goals}; no further point of the procedure would help"
+        yield message(f"NOT REACHED: {goals}; no further point of the procedure would help")
     if found.calibration is not None:
         yield fit_in_a_line(found.calibration.calibration)
     if found.verification is None:
@@ -247,14 +249,18 @@ def _shortened(lines: list[str], elsewhere: str) -> list[str]:
 
 def _files(found: Conclusion) -> Iterator[str]:
     folder, name = found.run.folder, name_to_type(found.run.folder)
-    yield f"readings: {len(found.source.readings)}, kept in {folder}"
+    yield message(f"readings: {len(found.source.readings)}, kept in {folder}")
     if found.report is not None:
         count = len(found.calibration.notes) if found.calibration is not None else 0
-        notes = f" (with {count} note{'s' * (count != 1)})" if count and not quiet.get() else ""
-        yield f"report: {found.report}{notes}"
-        yield f"coefficients: {folder / 'calibrate.json'} ('bench calibrate {name}' prints them)"
+        if count and not quiet.get():
+            yield message(f"report: {found.report} (with {count} note{'' if count == 1 else 's'})")
+        else:
+            yield message(f"report: {found.report}")
+        yield message(f"coefficients: {folder / 'calibrate.json'} ('bench calibrate {name}' prints them)")
     if found.chart is not None and not found.chart_unwritten:
-        yield f"chart: {folder / 'chart.json'} ('bench chart {as_typed(folder.parent)} --page FILE' draws it)"
+        yield message(
+            f"chart: {folder / 'chart.json'} ('bench chart {as_typed(folder.parent)} --page FILE' draws it)"
+        )
 
 
 def _next(found: Conclusion) -> Iterator[str]:
@@ -262,7 +268,7 @@ def _next(found: Conclusion) -> Iterator[str]:
     again = _run_again(run)
     verification = found.verification
     if found.calibration is None:
-        yield f"next: bench {'diagnose' if found.diagnosable else 'show'} {name}"
+        yield message(f"next: bench {'diagnose' if found.diagnosable else 'show'} {name}")
     elif (
         not found.calibration.accepted
         or found.calibration.doubts
@@ -271,21 +277,23 @@ def _next(found: Conclusion) -> Iterator[str]:
             and (verification.warnings or verification.statement in (Statement.MISFIT, Statement.FAIL))
         )
     ):
-        yield f"next: bench diagnose {name}"
+        yield message(f"next: bench diagnose {name}")
     elif verification is not None and verification.statement == Statement.NOT_COMPLETE:
         then = f"bench verify NEW --coefficients {as_typed(run.folder / 'calibrate.json')}"
         points = _run_again(run, "verification") + " --dry-run" * run.simulated
-        yield f"next: measure the verification points, {points}; then {then}"
+        yield message(f"next: measure the verification points, {points}; then {then}")
     elif verification is not None and not verification.passed:
-        yield f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
+        yield message(
+            f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
+        )
     elif found.chart is not None and not found.chart.accepted:
-        yield f"next: find the cause, then repeat the run: {again}"
+        yield message(f"next: find the cause, then repeat the run: {again}")
     elif run.simulated:
-        yield f"next: on real instruments: {again}{'' if ' --bench ' in again else ' --bench FILE'}"
+        yield message(f"next: on real instruments: {again}{'' if ' --bench ' in again else ' --bench FILE'}")
     else:
         if verification is not None and found.chart is None:
-            yield f"next: bench certificate {name}"
-        yield f"next unit: {again} --unit SERIAL"
+            yield message(f"next: bench certificate {name}")
+        yield message(f"next unit: {again} --unit SERIAL")
 
 
 def _run_again(run: Run, procedure: str | None = None) -> str:
@@ -339,7 +347,7 @@ COLUMNS: Final = "columns.yaml"
 
 def _given(file: Path) -> bytes:
     """Return the content of a file, read only once because a pipe cannot be read again. Raises `Refused`."""
-    with refusing("check name and permissions", file, verb="read"):
+    with refusing("check name and permissions", file, reading=True):
         return read_given(file)
 
 

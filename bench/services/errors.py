@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import missing
 from bench.base.files import DISK_FULL, remedy_for
+from bench.base.languages import message
 from bench.base.numbers import read_number
 
 if TYPE_CHECKING:
@@ -82,19 +83,23 @@ def sentence(error: Exception) -> str:
     if expected(error):
         return missing(error) or str(error)
     if isinstance(error, OSError):
-        remedy = "; free disk space, then repeat the command" if error.errno in DISK_FULL else ""
+        remedy = message("; free disk space, then repeat the command") if error.errno in DISK_FULL else ""
         return f"{error.filename or 'a file'}: {error.strerror or error}{remedy}"
-    return f"stopped by an error of the program ({kind_and_words(error)})"
+    return message(f"stopped by an error of the program ({kind_and_words(error)})")
 
 
 @contextmanager
-def refusing(remedy: str, place: Path | None = None, *, verb: str = "written") -> Iterator[None]:
+def refusing(remedy: str, place: Path | None = None, *, reading: bool = False) -> Iterator[None]:
     """Turn an `OSError` in the context into a `Refused` that names `place` (default: its file) and `remedy`."""
     try:
         yield
     except OSError as error:
-        remedy = remedy_for(error, remedy) if verb == "read" else remedy
-        raise Refused(f"{place or error.filename}: cannot be {verb} ({error.strerror}); {remedy}") from error
+        file = place or error.filename
+        if reading:
+            told = message(f"{file}: cannot be read ({error.strerror}); {remedy_for(error, remedy)}")
+        else:
+            told = message(f"{file}: cannot be written ({error.strerror}); {remedy}")
+        raise Refused(told) from error
 
 
 def quantity(option: str, text: str, kind: QuantityKind, *, plain: bool = True) -> float:

@@ -175,7 +175,9 @@ def _judged(request: RunRequest, bench: Path) -> VerdictAsked | None:
 def _other_unit(stated: str, serial: str, bench: str) -> tuple[str, ...]:
     if serial == stated:
         return ()
-    return (f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}",)
+    return (
+        message(f"this run is of unit {serial}, as --unit says; the bench file {bench} names unit {stated}"),
+    )
 
 
 def _included(procedure: Procedure) -> dict[str, bytes]:
@@ -263,7 +265,10 @@ def resumed(
             WishListener(ControlFile(run.folder)) as wishes,
         ):
             if history.torn and not quiet.get():
-                print("note: the last line of the record was incomplete and was dropped", file=sys.stderr)
+                print(
+                    message("note: the last line of the record was incomplete and was dropped"),
+                    file=sys.stderr,
+                )
             if history.state is not RunState.FINISHED:
                 with knowing_effects_on_record(run):
                     refuse_unvalidated_resumption(run)
@@ -301,7 +306,7 @@ def accept_changes(run: Run, asker: Asker | None, out: Console) -> None:
         if original.is_file() and read_regular(original) != read_regular(run.folder / copy):
             changes.append(message(f"{original} was changed since the run began"))
     for change in changes:
-        out.print(f"note: {change}; the run continues with the copy in its folder")
+        out.print(message(f"note: {change}; the run continues with the copy in its folder"))
     if changes and not run.simulated and asker is not None:
         text = message(f"{'; '.join(changes)}. Continue with the files of the start, without these changes?")
         agree(asker, Prompt(id="changed", kind=PromptKind.CONFIRM, text=text, action={"do": "answer"}))
@@ -337,12 +342,12 @@ def carry_out(
     if history:
         watcher.recall(history.taken[-MOST_RECALLED:], history.progress)
     if not quiet.get():
-        where = "simulated instruments" if run.simulated else "the bench"
+        where = message("simulated instruments") if run.simulated else message("the bench")
+        steps = message(f"{run.plan.name}, {len(run.plan.steps)} steps, recorded in {run.folder}")
+        out.print(message(f"run {run.name} {'continues' if resume else 'starts'} on {where}: {steps}"))
         out.print(
-            f"run {run.name} {'continues' if resume else 'starts'} on {where}: {run.plan.name}, "
-            f"{len(run.plan.steps)} steps, recorded in {run.folder}"
+            message(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
         )
-        out.print(f"procedure {run.manifest.get('procedure')}, bench file {run.manifest.get('bench')}")
     try:
         with _assembly(run, bench, history, wire, out, signals.haste, asker) as (assembly, bar):
             bar.recall(history.progress.chosen if history else ())
@@ -474,7 +479,7 @@ def _refuse_renamed(record: Record) -> None:
     place = record.whereabouts()
     if place == record.folder:
         return
-    now = f"it is {place} now" if place else "it is no longer beside the other runs"
+    now = message(f"it is {place} now") if place else message("it is no longer beside the other runs")
     again = as_typed(place or "FOLDER")
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
@@ -486,7 +491,7 @@ def _recorded(record: Record) -> str:
     """Return a sentence on how many readings are kept, and where; the folder may have been renamed meanwhile."""
     place = record.whereabouts()
     if place is None:
-        return f"{record.folder} was moved or deleted during the run"
+        return message(f"{record.folder} was moved or deleted during the run")
     try:
         done = len(read_history(place).readings)
     except RecordError as error:
@@ -565,7 +570,7 @@ def refuse_missing_devices(run: Run) -> None:
     """Raise `Refused` if a driver that the run used is not installed here."""
     came_from = run.manifest.get("devices", {})
     missing = [
-        f"the driver '{name}'" + (f" (it came from {came_from[name]})" if name in came_from else "")
+        message(f"the driver '{name}'") + (f" (it came from {came_from[name]})" if name in came_from else "")
         for name in missing_drivers(run.folder / BENCH)
     ]
     if missing:

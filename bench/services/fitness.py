@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile, Standing, load_bench, standings
 from bench.run.events import EventType
 from bench.run.folder import BENCH, Run
@@ -39,8 +40,10 @@ def reminders(bench: BenchFile) -> Iterator[str]:
         if until is not None and today <= until <= today + datetime.timedelta(days=REMINDED_DAYS):
             left = (until - today).days
             yield (
-                f"{one.instrument}: its {one.certificate.words}, expires on {until}, in {left} "
-                f"day{'' if left == 1 else 's'}; have it calibrated"
+                message(
+                    f"{one.instrument}: its {one.certificate.words}, expires on {until}, in {left} "
+                    f"day{'' if left == 1 else 's'}; have it calibrated"
+                )
             )
 
 
@@ -48,8 +51,10 @@ def without_gravity(bench: BenchFile) -> Iterator[str]:
     """Yield a sentence if the bench file states no local gravity, because every result of a run needs it."""
     if bench.gravity_m_s2 is None:
         yield (
-            "the bench file states no local gravity, so that a run ends without coefficients and verdict; add "
-            "'gravity' to it, or give --g to 'bench calibrate' and 'bench verify' after the run"
+            message(
+                "the bench file states no local gravity, so that a run ends without coefficients and verdict; "
+                "add 'gravity' to it, or give --g to 'bench calibrate' and 'bench verify' after the run"
+            )
         )
 
 
@@ -89,9 +94,12 @@ def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: boo
         bench.expired == "refuse" or (bench.expired == "ask" and not away and not sys.stdin.isatty())
     ):
         why, way = (
-            ("refuses such runs (expired: refuse)", "let a person decide (expired: ask)")
+            (message("refuses such runs (expired: refuse)"), message("let a person decide (expired: ask)"))
             if bench.expired == "refuse"
-            else ("asks, and there is no terminal", "begin the run at a terminal, or with --answers folder")
+            else (
+                message("asks, and there is no terminal"),
+                message("begin the run at a terminal, or with --answers folder"),
+            )
         )
         raise Refused(
             f"{in_words(late)}; {path} {why}; have it calibrated and state the new certificate, or {way}"
@@ -101,7 +109,7 @@ def refuse_unfit(bench: BenchFile, path: Path, request: RunRequest, *, away: boo
 def in_words(late: list[Standing]) -> str:
     """Return a sentence on expired certificates."""
     return "; ".join(
-        f"{one.instrument}: its {one.certificate.words}, expired on {one.certificate.valid_until}"
+        message(f"{one.instrument}: its {one.certificate.words}, expired on {one.certificate.valid_until}")
         for one in late
     )
 

@@ -17,7 +17,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from bench.base.files import read_regular
-from bench.base.languages import message
 from bench.base.text import as_typed, visible
 from bench.results.registers import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
@@ -286,9 +285,7 @@ def checked_name(name: str) -> str:
     """Return a person's name, stripped. Raises `RecordError` if it is empty, too long or not printable."""
     name = name.strip()
     if not name or len(name) > LONGEST_NAME or not name.isprintable() or visible(name) != name:
-        raise RecordError(
-            message(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} printable characters")
-        )
+        raise RecordError(f"{visible(name)!r}: give a name of 1 to {LONGEST_NAME} printable characters")
     return name
 
 

@@ -128,7 +128,7 @@ def _authority(request: Validate) -> tuple[Path, Person, str]:
 def _sealed(folder: Path) -> tuple[bytes, ValidationResult]:
     """Return the result in a folder, as bytes and parsed. Raises `Refused` if it differs from its seal."""
     try:
-        with refusing("name the folder of a validation", folder / RESULT, verb="read"):
+        with refusing("name the folder of a validation", folder / RESULT, reading=True):
             content, seal = read_regular(folder / RESULT), read_seal(folder)
         result = ValidationResult.model_validate_json(content)
     except ValidationError as error:

@@ -128,7 +128,7 @@ def _check_release(request: Validate) -> None:
     """Refuse an unusable manifest or key at once, before checks that take minutes."""
     for file in (request.release, request.release_key):
         if file is not None:
-            with refusing("check its name", file, verb="read"):
+            with refusing("check its name", file, reading=True):
                 read_given(file)
     if request.release_key is not None:
         read_public_key(request.release_key)

@@ -144,20 +144,20 @@ class AcutrolHead(MotorisedHead):
         reply = self._session.ask(
             f":read:{what} {self._axis}",
             _NUMBER,
-            f"a prefix of {facts.PREFIX_CHARACTERS} characters and a number",
+            message(f"a prefix of {facts.PREFIX_CHARACTERS} characters and a number"),
         )
         return float(reply[facts.PREFIX_CHARACTERS :])
 
     def _tell(self, command: str, urgent: bool = False) -> None:
         """Send a command. Raises `InstrumentRefused` for any reply but OK."""
         send = self._session.urgent if urgent else self._session.command
-        reply = send(command, _ANY, f"a prefix of {facts.PREFIX_CHARACTERS} characters and OK")
+        reply = send(command, _ANY, message(f"a prefix of {facts.PREFIX_CHARACTERS} characters and OK"))
         answer = reply[facts.PREFIX_CHARACTERS :].strip()
         if answer.upper() != "OK":
             raise InstrumentRefused(
                 self.name,
-                message(f"the controller answers {command} with {answer!r}, not OK"),
-                message("check the interlock, the emergency stop and the controller's own display"),
+                f"the controller answers {command} with {answer!r}, not OK",
+                "check the interlock, the emergency stop and the controller's own display",
             )
 
 

@@ -36,7 +36,7 @@ class Agilent34401A(ScpiVoltmeter):
     _dialect = DIALECT_34401A
 
     models: tuple[str, ...] = facts.MODELS
-    called = "a 34401A"
+    called = "34401A"
     hint = "a 34461A must be told SYST:IDEN HP34401A once"
 
     def __init_subclass__(cls) -> None:

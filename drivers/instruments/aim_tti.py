@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import aim_tti as facts
-from drivers.interfaces import InstrumentRefused, OutputSettings, OutputState, SupplyLimits
+from drivers.interfaces import InstrumentRefused, OutputSettings, OutputState, SupplyLimits, message
 from drivers.supplies import WiredSupply
 
 if TYPE_CHECKING:
@@ -35,9 +35,9 @@ class AimTti(WiredSupply):
         self._has_tripped: dict[str, bool] = {}
 
     def _prove(self) -> None:
-        self._identify(facts.MAKERS, (self._model,), f"a {self._model}")
+        self._identify(facts.MAKERS, (self._model,), self._model)
         self._session.ask(
-            "*ESR?", r"\d{1,3}", "a register such as 0"
+            "*ESR?", r"\d{1,3}", message("a register such as 0")
         )  # reading the register clears events from before the connection
 
     def _states(self) -> dict[str, OutputState]:
@@ -51,7 +51,7 @@ class AimTti(WiredSupply):
             self._setting(f"OVP{output}", f"VP{output}") if self._protects(output) else None,
         )
         given_v, given_a = self._measured(f"V{output}O?", "V"), self._measured(f"I{output}O?", "A")
-        event = int(self._session.ask(f"LSR{output}?", r"\d{1,3}", "a register such as 1"))
+        event = int(self._session.ask(f"LSR{output}?", r"\d{1,3}", message("a register such as 1")))
         if event & _TRIPPED and not on:
             self._has_tripped[output] = True
         return OutputState(
@@ -76,11 +76,13 @@ class AimTti(WiredSupply):
         return self._limits.outputs[output].over_voltage_v is not None
 
     def _setting(self, command: str, named: str) -> float:
-        reply = self._session.ask(f"{command}?", rf"{named} {_NUMBER}", f"a setting such as {named} 5.000")
+        reply = self._session.ask(
+            f"{command}?", rf"{named} {_NUMBER}", message(f"a setting such as {named} 5.000")
+        )
         return float(reply.split()[1])
 
     def _measured(self, question: str, unit: str) -> float:
-        reply = self._session.ask(question, rf"{_NUMBER}{unit}", f"a reading such as 5.000{unit}")
+        reply = self._session.ask(question, rf"{_NUMBER}{unit}", message(f"a reading such as 5.000{unit}"))
         return float(reply.removesuffix(unit))
 
     def _refuse_unready(
@@ -88,7 +90,7 @@ class AimTti(WiredSupply):
     ) -> None:
         if self._model not in facts.TRACKS:
             return
-        if self._session.ask("CONFIG?", r"\d", "a digit such as 2") != facts.INDEPENDENT:
+        if self._session.ask("CONFIG?", r"\d", message("a digit such as 2")) != facts.INDEPENDENT:
             raise InstrumentRefused(
                 self.name,
                 "its outputs follow each other (tracking)",
@@ -111,16 +113,16 @@ class AimTti(WiredSupply):
 
     def _errors(self) -> list[str]:
         """Return the errors of rejected commands, from the event registers."""
-        event = int(self._session.ask("*ESR?", r"\d{1,3}", "a register such as 0"))
+        event = int(self._session.ask("*ESR?", r"\d{1,3}", message("a register such as 0")))
         errors = []
         if event & facts.COMMAND_ERROR:
-            errors.append("a command that it does not know")
+            errors.append(message("a command that it does not know"))
         if event & facts.QUERY_ERROR:
-            errors.append("a query error")
+            errors.append(message("a query error"))
         if event & facts.EXECUTION_ERROR:
-            number = int(self._session.ask("EER?", r"\d{1,3}", "a number such as 100"))
+            number = int(self._session.ask("EER?", r"\d{1,3}", message("a number such as 100")))
             errors.append(
-                f"execution error {number} ({facts.EXECUTION_ERRORS.get(number, 'see its manual')})"
+                message(f"execution error {number} ({facts.EXECUTION_ERRORS.get(number, 'see its manual')})")
             )
         return errors
 

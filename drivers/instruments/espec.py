@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.chambers import NUMBER, ChamberLimits, ControlledChamber
 from drivers.facts import espec as facts
-from drivers.interfaces import Identity, InstrumentRefused, LimitExceeded
+from drivers.interfaces import Identity, InstrumentRefused, LimitExceeded, message
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -24,15 +24,15 @@ _MONITOR: Final = rf" ?{NUMBER}, ?(?:{NUMBER})?, ?(?:OFF|STANDBY|CONSTANT|RUN[^,
 _MODE: Final = r"OFF|STANDBY|CONSTANT|(?:RMT )?RUN.*"
 _TYPE: Final = rf"(?:[^,]*,){{1,2}}[^,]+, ?{NUMBER}"
 _MEANINGS: Final = {
-    "CMD ERR": "it does not know the command",
-    "ADDR ERR": "the address is another chamber's",
-    "CONT NOT READY": "it cannot do that in its present state",
-    "DATA NOT READY": "it has no such data now",
-    "PARA ERR": "it does not understand the value",
-    "DATA OUT OF RANGE": "the value is outside its limits",
-    "PROTECT ON": "its settings are protected",
-    "INVALID REQ": "it has no such function",
-    "CHB NOT READY": "the chamber is not ready",
+    "CMD ERR": message("it does not know the command"),
+    "ADDR ERR": message("the address is another chamber's"),
+    "CONT NOT READY": message("it cannot do that in its present state"),
+    "DATA NOT READY": message("it has no such data now"),
+    "PARA ERR": message("it does not understand the value"),
+    "DATA OUT OF RANGE": message("the value is outside its limits"),
+    "PROTECT ON": message("its settings are protected"),
+    "INVALID REQ": message("it has no such function"),
+    "CHB NOT READY": message("the chamber is not ready"),
 }
 
 
@@ -80,12 +80,14 @@ class EspecChamber(ControlledChamber):
 
     def _operate(self, mode: str) -> None:
         self._tell(f"MODE,{mode}")
-        shown = self._ask("MODE?", _MODE, "an operation such as CONSTANT")
+        shown = self._ask("MODE?", _MODE, message("an operation such as CONSTANT"))
         if shown != mode:
             raise self._other_mode(shown, mode)
 
     def _air_c(self, target_c: float | None) -> float:
-        reply = self._ask("MON?", _MONITOR, "temperature, humidity, mode and alarms such as 26.4,,CONSTANT,0")
+        reply = self._ask(
+            "MON?", _MONITOR, message("temperature, humidity, mode and alarms such as 26.4,,CONSTANT,0")
+        )
         *_, mode, alarms = (field.strip() for field in reply.split(","))
         if int(alarms):
             self._refuse_alarms()
@@ -98,7 +100,8 @@ class EspecChamber(ControlledChamber):
 
     def _prove(self) -> None:
         fields = [
-            field.strip() for field in self._ask("TYPE?", _TYPE, "a type such as T,T,P300,150.0").split(",")
+            field.strip()
+            for field in self._ask("TYPE?", _TYPE, message("a type such as T,T,P300,150.0")).split(",")
         ]
         controller = fields[-2]
         if re.fullmatch(self._identity_pattern, controller) is None:
@@ -110,17 +113,17 @@ class EspecChamber(ControlledChamber):
             )
         firmware = ""
         with contextlib.suppress(InstrumentRefused):
-            firmware = self._ask("ROM?", r"[\x20-\x7e]+", "a firmware version")
+            firmware = self._ask("ROM?", r"[\x20-\x7e]+", message("a firmware version"))
         self._identity = Identity(facts.MAKER, controller, firmware=firmware)
 
     def _temperatures(self) -> tuple[float, float, float, float]:
         """Return the reply to TEMP?: air, set point, upper and lower limit, °C."""
-        reply = self._ask("TEMP?", _TEMPERATURES, "four temperatures such as 26.4,25.0,140.0,-50.0")
+        reply = self._ask("TEMP?", _TEMPERATURES, message("four temperatures such as 26.4,25.0,140.0,-50.0"))
         air_c, set_point_c, high_c, low_c = (float(field) for field in reply.split(","))
         return air_c, set_point_c, high_c, low_c
 
     def _refuse_alarms(self) -> None:
-        number, *codes = self._ask("ALARM?", r" ?\d+(?:, ?\d+)*", "a number of alarms").split(",")
+        number, *codes = self._ask("ALARM?", r" ?\d+(?:, ?\d+)*", message("a number of alarms")).split(",")
         if int(number):
             raise InstrumentRefused(
                 self.name,
@@ -129,9 +132,9 @@ class EspecChamber(ControlledChamber):
             )
 
     def _refuse_program(self) -> None:
-        mode = self._ask("MODE?", _MODE, "an operation such as CONSTANT")
+        mode = self._ask("MODE?", _MODE, message("an operation such as CONSTANT"))
         if "RUN" in mode:
-            raise self._other_mode(mode, "one that leaves the set point to the bench")
+            raise self._other_mode(mode, message("one that leaves the set point to the bench"))
 
     def _other_mode(self, mode: str, wanted: str) -> InstrumentRefused:
         return InstrumentRefused(
@@ -159,7 +162,7 @@ class EspecChamber(ControlledChamber):
         if not reply.startswith("NA:"):
             return reply
         reason = reply[3:].strip()
-        meaning = _MEANINGS.get(re.sub(r"-\d+$", "", reason), "see the controller's manual")
+        meaning = _MEANINGS.get(re.sub(r"-\d+$", "", reason), message("see the controller's manual"))
         raise InstrumentRefused(
             self.name,
             f"it refused {command} with {reason} ({meaning})",

@@ -10,7 +10,7 @@ import re
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import heidenhain_nd28x as facts
-from drivers.interfaces import Identity, InstrumentRefused
+from drivers.interfaces import Identity, InstrumentRefused, message
 from drivers.readout import Approach, ReadOutHead, ScaleOfEncoder
 
 if TYPE_CHECKING:
@@ -54,11 +54,11 @@ class HeidenhainNd28x(ReadOutHead):
 
     def _prove(self) -> None:
         """Query software, model and version; on an ND 287, query the unit, too."""
-        self._session.ask(facts.ASK_SOFTWARE, _SOFTWARE, "a software number such as 349797-04")
+        self._session.ask(facts.ASK_SOFTWARE, _SOFTWARE, message("a software number such as 349797-04"))
         said = self._session.ask(
             facts.ASK_DEVICE,
             _DEVICE.pattern,
-            "a name, a software number and a version",
+            message("a name, a software number and a version"),
             lines=facts.DEVICE_LINES,
         )
         match = _DEVICE.fullmatch(said)
@@ -72,13 +72,17 @@ class HeidenhainNd28x(ReadOutHead):
             self._refuse_other_display()
 
     def _refuse_other_display(self) -> None:
-        bar = self._session.ask(facts.ASK_STATUS_BAR, rf"{facts.STX}\d{{8}}", "a status bar of eight digits")[
-            1:
-        ]
+        bar = self._session.ask(
+            facts.ASK_STATUS_BAR, rf"{facts.STX}\d{{8}}", message("a status bar of eight digits")
+        )[1:]
         for what, place, wanted in (
-            ("it shows the distance to go instead of the actual value", facts.MODE, facts.ACTUAL_VALUE),
-            ("its scaling factor is switched on", facts.SCALING, facts.UNSCALED),
-            ("it does not show decimal degrees", facts.UNIT, facts.DEGREES),
+            (
+                message("it shows the distance to go instead of the actual value"),
+                facts.MODE,
+                facts.ACTUAL_VALUE,
+            ),
+            (message("its scaling factor is switched on"), facts.SCALING, facts.UNSCALED),
+            (message("it does not show decimal degrees"), facts.UNIT, facts.DEGREES),
         ):
             if bar[place] != wanted:
                 raise InstrumentRefused(self.name, what, "set it by its keys, then start again")
@@ -86,7 +90,9 @@ class HeidenhainNd28x(ReadOutHead):
     def _shown_rad(self) -> float:
         """Return the displayed angle, rad. Raises `InstrumentRefused` for a relative value or other text."""
         self._refuse_without_reference()
-        shown = self._session.ask(facts.ASK_DISPLAY, _SHOWN, "what is displayed, such as +00045.0028")[1:]
+        shown = self._session.ask(
+            facts.ASK_DISPLAY, _SHOWN, message("what is displayed, such as +00045.0028")
+        )[1:]
         match = _VALUE.fullmatch(shown)
         if match is None or len(shown) < facts.SHORTEST_VALUE:
             raise InstrumentRefused(
@@ -101,7 +107,9 @@ class HeidenhainNd28x(ReadOutHead):
         of_281b = self._model == "ND-281B"
         length = str(facts.INDICATORS_281B) if of_281b else "1,24"
         said = self._session.ask(
-            facts.ASK_INDICATORS, rf"{facts.STX}[012]{{{length}}}", "indicators such as 01001001000000"
+            facts.ASK_INDICATORS,
+            rf"{facts.STX}[012]{{{length}}}",
+            message("indicators such as 01001001000000"),
         )[1:]
         referenced = said[facts.REF_281B] == facts.GLOWS if of_281b else facts.BLINKS not in said
         if not referenced:

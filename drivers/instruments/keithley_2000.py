@@ -16,7 +16,7 @@ class Keithley2000(ScpiVoltmeter):
 
     makers = facts.MAKERS
     models = facts.MODELS
-    called = "a Keithley 2000"
+    called = "Keithley 2000"
     hint = "it must speak SCPI: GPIB, LANG on its front panel"
     start_command = "TRAC:CLE;:TRAC:FEED:CONT NEXT;:INIT"
     fetch_query = "*WAI;:TRAC:DATA?"

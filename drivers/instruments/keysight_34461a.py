@@ -12,7 +12,7 @@ from typing import Final
 
 from drivers.facts import keysight_34461a as facts
 from drivers.instruments.agilent_34401a import DIALECT_34401A, Agilent34401A, SingleChannelDialect
-from drivers.interfaces import VoltmeterLimits
+from drivers.interfaces import VoltmeterLimits, message
 
 DIALECTS: Final = {
     model: SingleChannelDialect(
@@ -27,5 +27,5 @@ class Keysight34461A(Agilent34401A):
 
     dialects = DIALECTS
     models = tuple(DIALECTS)
-    called = "a 34460A, 34461A, 34465A or 34470A, nor one that emulates a 34401A"
+    called = message("34460A, 34461A, 34465A or 34470A, nor one that emulates a 34401A")
     hint = "the meter's own is under Utility, I/O Config"

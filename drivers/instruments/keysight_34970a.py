@@ -21,6 +21,7 @@ from drivers.interfaces import (
     LimitExceeded,
     VoltmeterLimits,
     VoltmeterSettings,
+    message,
 )
 from drivers.scpi_voltmeter import IDENTITY, Interface, ProvenSetting, ScpiVoltmeter
 
@@ -45,7 +46,7 @@ class Keysight34970A(ScpiVoltmeter):
 
     not_live = "a scanner's relays wear with every query, so it is read at readings only"
     models = facts.MODELS
-    called = "a 34970A or 34972A"
+    called = message("34970A or 34972A")
 
     def __init__(
         self,
@@ -81,10 +82,12 @@ class Keysight34970A(ScpiVoltmeter):
         """
         identity = super().open()
         for slot in sorted({100 * (number // 100) for number in self._numbers}):
-            reply = self._session.query(f"SYST:CTYP? {slot}", pattern=IDENTITY, expected="a card's identity")
+            reply = self._session.query(
+                f"SYST:CTYP? {slot}", pattern=IDENTITY, expected=message("a card's identity")
+            )
             card = reply.split(",")[1].strip()
             if card != facts.CARD:
-                there = "is empty" if card == "0" else f"holds {reply!r}"
+                there = message("is empty") if card == "0" else message(f"holds {reply!r}")
                 raise InstrumentRefused(
                     self.name,
                     f"slot {slot} of {self._session.resource} {there}, not a {facts.CARD} multiplexer",
@@ -132,23 +135,25 @@ class Keysight34970A(ScpiVoltmeter):
 
 def _wrong_channels(pairs: Sequence[tuple[Channel, int]]) -> list[str]:
     """Return one phrase for each mistake in the pairs of signal and channel."""
-    wrong = [] if pairs else ["a scan of no channel"]
+    wrong = [] if pairs else [message("a scan of no channel")]
     for index, (signal, number) in enumerate(pairs):
         if number // 100 not in facts.SLOTS or number % 100 not in facts.CARD_CHANNELS:
-            wrong.append(f"{signal} on channel {number} (a {facts.CARD} has {facts.CHANNELS_TEXT})")
+            wrong.append(message(f"{signal} on channel {number} (a {facts.CARD} has {facts.CHANNELS_TEXT})"))
         if number in [other for _, other in pairs[:index]]:
-            wrong.append(f"two signals on channel {number}")
+            wrong.append(message(f"two signals on channel {number}"))
         if signal in [other for other, _ in pairs[:index]]:
-            wrong.append(f"{signal} on two channels")
+            wrong.append(message(f"{signal} on two channels"))
     return wrong
 
 
 def _wrong_delay(delay_s: float) -> list[str]:
     if not 0.0 <= delay_s <= facts.LONGEST_CHANNEL_DELAY_S:
-        return [f"a channel delay of {delay_s:g} s (it has 0 to {facts.LONGEST_CHANNEL_DELAY_S:g} s)"]
+        return [
+            message(f"a channel delay of {delay_s:g} s (it has 0 to {facts.LONGEST_CHANNEL_DELAY_S:g} s)")
+        ]
     steps = delay_s / facts.CHANNEL_DELAY_STEP_S
     if abs(steps - round(steps)) > 1e-6:
-        return [f"a channel delay of {delay_s:g} s (it goes in steps of 1 ms)"]
+        return [message(f"a channel delay of {delay_s:g} s (it goes in steps of 1 ms)")]
     return []
 
 
@@ -163,7 +168,7 @@ class _Probe(ScpiVoltmeter):
     """A 34970A or 34972A that scans a single channel with a temperature sensor."""
 
     models = facts.MODELS
-    called = "a 34970A or 34972A"
+    called = message("34970A or 34972A")
 
     def __init__(
         self,
@@ -188,7 +193,9 @@ class _Probe(ScpiVoltmeter):
     def open(self) -> Identity:
         identity = super().open()
         slot = 100 * (self._channel // 100)
-        reply = self._session.query(f"SYST:CTYP? {slot}", pattern=IDENTITY, expected="a card's identity")
+        reply = self._session.query(
+            f"SYST:CTYP? {slot}", pattern=IDENTITY, expected=message("a card's identity")
+        )
         if reply.split(",")[1].strip() != facts.CARD:
             raise InstrumentRefused(
                 self.name,

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 from drivers.facts import keysight_e36300 as facts
-from drivers.interfaces import OutputSettings, OutputState, SupplyLimits
+from drivers.interfaces import OutputSettings, OutputState, SupplyLimits, message
 from drivers.supplies import NUMBER, WiredSupply
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class KeysightE36300(WiredSupply):
         self._listed = ",".join(self.outputs)
 
     def _prove(self) -> None:
-        self._identify(facts.MAKERS, (self._model,), f"an {self._model}")
+        self._identify(facts.MAKERS, (self._model,), self._model)
         self._session.write("*CLS")
 
     def _states(self) -> dict[str, OutputState]:
@@ -48,7 +48,7 @@ class KeysightE36300(WiredSupply):
                 *([r"[+-]?\d+"] * len(self.outputs)),
             ]
         )
-        reply = self._session.ask(";:".join(questions), pattern, "the state of all outputs")
+        reply = self._session.ask(";:".join(questions), pattern, message("the state of all outputs"))
         rows = reply.split(";")
         columns = [row.split(",") for row in rows[: len(_SWITCHES) + len(_NUMBERS)]]
         conditions = rows[len(columns) :]

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.facts import keysight_e3631a as facts
-from drivers.interfaces import InstrumentRefused, OutputSettings, OutputState, SupplyLimits
+from drivers.interfaces import InstrumentRefused, OutputSettings, OutputState, SupplyLimits, message
 from drivers.supplies import NUMBER, WiredSupply
 
 if TYPE_CHECKING:
@@ -40,7 +40,7 @@ class KeysightE3631A(WiredSupply):
     def _prove(self) -> None:
         if self._interface == "rs232":
             self._session.write("SYST:REM")
-        self._identify(facts.MAKERS, facts.MODELS, "an E3631A")
+        self._identify(facts.MAKERS, facts.MODELS, "E3631A")
         self._session.write("*CLS")
 
     def _states(self) -> dict[str, OutputState]:
@@ -54,7 +54,7 @@ class KeysightE3631A(WiredSupply):
         reply = self._session.ask(
             f"APPL? {output};:MEAS:VOLT? {output};:MEAS:CURR? {output};:STAT:QUES:INST:ISUM{number}:COND?",
             _STATE,
-            "settings, voltage, current and condition of an output",
+            message("settings, voltage, current and condition of an output"),
         )
         applied, volts, amperes, condition = reply.split(";")
         voltage_v, limit_a = (float(text) for text in applied.strip('"').split(","))

@@ -10,7 +10,7 @@ import re
 from typing import TYPE_CHECKING, Final, Literal
 
 from drivers.facts import leica_nivel as facts
-from drivers.interfaces import BadReading, Identity, Inclination, InstrumentRefused, LevelSizes
+from drivers.interfaces import BadReading, Identity, Inclination, InstrumentRefused, LevelSizes, message
 from drivers.wire.visa import ProvedInstrument
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class LeicaNivel(ProvedInstrument):
                 f"the inclination exceeds its range of ±{facts.RANGE_RAD / facts.MRAD:g} mrad",
                 "level the platform by the circular level on the sensor, then read again",
             )
-        said = self._ask("G A", _ALL, f"inclinations such as {_EXAMPLE}")
+        said = self._ask("G A", _ALL, message(f"inclinations such as {_EXAMPLE}"))
         by_axis = {axis: float(value) * facts.MRAD for axis, value in _AXIS.findall(said)}
         along_rad, across_rad = (
             float(f"{axis[0]}1") * by_axis[axis[1]] for axis in (self._along, self._across)
@@ -99,12 +99,12 @@ class LeicaNivel(ProvedInstrument):
     def _prove(self) -> None:
         """Read serial number and firmware, verify corrected and continuous values, and set the averages."""
         number, firmware = self._ask(
-            "RB D", r"\d{6} [\x21-\x7e]{1,8}", "a serial number and firmware"
+            "RB D", r"\d{6} [\x21-\x7e]{1,8}", message("a serial number and firmware")
         ).split()
         self._identity = Identity(facts.MAKER, facts.MODEL, number, firmware)
         for command, wanted, what in (
-            ("RS C", "ON", "its corrections are switched off"),
-            ("RS M", "CONT", "it waits for a trigger"),
+            ("RS C", "ON", message("its corrections are switched off")),
+            ("RS M", "CONT", message("it waits for a trigger")),
         ):
             if self._ask(command, "ON|OFF|CONT|PRE", "ON, OFF, CONT or PRE") != wanted:
                 raise InstrumentRefused(
@@ -120,7 +120,7 @@ class LeicaNivel(ProvedInstrument):
             )
 
     def _averages_set(self) -> int:
-        return int(self._ask("R N", r"\d{3}", "a number of averages such as 008"))
+        return int(self._ask("R N", r"\d{3}", message("a number of averages such as 008")))
 
     def _block(self, command: str) -> str:
         return f"{facts.START}{self._address}{facts.HOST} {command}{facts.END}"
@@ -129,7 +129,7 @@ class LeicaNivel(ProvedInstrument):
         """Return the text of the reply to a command. Raises `BadReading` for a wrong check sum or format."""
 
         def exchange() -> str:
-            whole = self._session.command(self._block(command), r"[\x00-\xff]+", "a block")
+            whole = self._session.command(self._block(command), r"[\x00-\xff]+", message("a block"))
             said = whole[len(facts.START) : -1 - facts.READ_TAIL]
             sender = f"{facts.HOST}{self._address} "
             right = (

@@ -110,8 +110,8 @@ class ManualHead(ByHand):
         except ValueError as trouble:
             raise BadReading(
                 self.name,
-                message(f"no angle in {ATTEMPTS} attempts ({trouble})"),
-                message("read its scale again"),
+                f"no angle in {ATTEMPTS} attempts ({trouble})",
+                "read its scale again",
             ) from None
 
     def _turned(
@@ -148,11 +148,9 @@ class ManualHead(ByHand):
         except ValueError as trouble:
             raise LimitExceeded(
                 self.name,
-                message(
-                    f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
-                    f"in {ATTEMPTS} attempts ({trouble})"
-                ),
-                message("check the clamp, the scale and the procedure's angle, then redo this point"),
+                f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
+                f"in {ATTEMPTS} attempts ({trouble})",
+                "check the clamp, the scale and the procedure's angle, then redo this point",
             ) from None
         return HeadPosition(angle_rad, direction)
 
@@ -234,10 +232,8 @@ class ManualLevel(ByHand):
         except ValueError as trouble:
             raise BadReading(
                 self.name,
-                message(f"no reading on its scale in {ATTEMPTS} attempts ({trouble})"),
-                message(
-                    "level the platform roughly, check the divisions in the bench file, then repeat this step"
-                ),
+                f"no reading on its scale in {ATTEMPTS} attempts ({trouble})",
+                "level the platform roughly, check the divisions in the bench file, then repeat this step",
             ) from None
 
 
@@ -320,8 +316,8 @@ class ManualChamber(ByHand):
         if not self._minimum_c <= target_c <= self._maximum_c:
             raise LimitExceeded(
                 self.name,
-                message(f"{target_c:g} °C is outside {self._minimum_c:g} to {self._maximum_c:g} °C"),
-                message("change the temperature in the procedure or the limits in the bench file"),
+                f"{target_c:g} °C is outside {self._minimum_c:g} to {self._maximum_c:g} °C",
+                "change the temperature in the procedure or the limits in the bench file",
             )
         self._set = True
         for attempt in range(1, ATTEMPTS + 1):
@@ -338,8 +334,8 @@ class ManualChamber(ByHand):
                 return
         raise InstrumentRefused(
             self.name,
-            message(f"nobody confirmed that the chamber is set to {target_c:g} °C"),
-            message("set it and take this step again"),
+            f"nobody confirmed that the chamber is set to {target_c:g} °C",
+            "set it and take this step again",
         )
 
     def temperature(self, key: str, *, settling: bool = False) -> float:
@@ -360,10 +356,8 @@ class ManualChamber(ByHand):
             return found_c
         raise BadReading(
             self.name,
-            message(f"no plausible temperature in {ATTEMPTS} attempts"),
-            message(
-                "check the thermometer and the chamber's limits in the bench file, then repeat this step"
-            ),
+            f"no plausible temperature in {ATTEMPTS} attempts",
+            "check the thermometer and the chamber's limits in the bench file, then repeat this step",
         )
 
     def _ask(self, prompt: Prompt) -> str | None:
@@ -427,6 +421,6 @@ class ManualThermometer(ByHand):
             return found_c
         raise BadReading(
             self.name,
-            message(f"no temperature within its range in {ATTEMPTS} attempts"),
-            message("check the thermometer and its range in the bench file, then repeat this step"),
+            f"no temperature within its range in {ATTEMPTS} attempts",
+            "check the thermometer and its range in the bench file, then repeat this step",
         )

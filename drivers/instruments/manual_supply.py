@@ -31,10 +31,10 @@ _DEAD: Final = 0.02
 
 Quantity = Literal["set_voltage", "current_limit", "voltage", "current"]
 _CALLED: Final[dict[Quantity, tuple[str, SupplyUnit]]] = {
-    "set_voltage": ("the voltage that output {} is set to", "V"),
-    "current_limit": ("the current limit of output {}", "A"),
-    "voltage": ("the voltage that output {} gives", "V"),
-    "current": ("the current that output {} gives", "A"),
+    "set_voltage": (message("the voltage that output {0} is set to"), "V"),
+    "current_limit": (message("the current limit of output {0}"), "A"),
+    "voltage": (message("the voltage that output {0} gives"), "V"),
+    "current": (message("the current that output {0} gives"), "A"),
 }
 
 
@@ -115,7 +115,9 @@ class ManualSupply(ByHand):
         if self._is_on(output, f"{key}/after") != on:
             self._on[output] = not on
             remedy = (
-                "check whether a protection has tripped" if on else "switch it off, then repeat this step"
+                message("check whether a protection has tripped")
+                if on
+                else message("switch it off, then repeat this step")
             )
             raise InstrumentRefused(self.name, f"its output {output} is not {word}", remedy)
         if on:

@@ -9,7 +9,7 @@ import math
 from typing import TYPE_CHECKING
 
 from drivers.facts import mitutoyo_mux10 as facts
-from drivers.interfaces import Identity
+from drivers.interfaces import Identity, message
 from drivers.readout import Approach, ReadOutHead, ScaleOfEncoder
 
 if TYPE_CHECKING:
@@ -52,5 +52,5 @@ class MitutoyoMux10(ReadOutHead):
         """Return the value of the channel, rad. Raises `BadReading` for a reply of another form."""
         begin = f"0{self._channel}A"
         form = rf"{begin}(?=.{{{facts.VALUE_CHARACTERS + 1}}}\Z)[+-]\d+\.\d+"
-        said = self._session.ask(str(self._channel), form, f"a reading such as {facts.EXAMPLE}")
+        said = self._session.ask(str(self._channel), form, message(f"a reading such as {facts.EXAMPLE}"))
         return math.radians(float(said.removeprefix(begin)))

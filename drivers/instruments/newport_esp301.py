@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.angles import format_dms
 from drivers.facts import newport_esp301 as facts
-from drivers.interfaces import Identity, InstrumentRefused
+from drivers.interfaces import Identity, InstrumentRefused, message
 from drivers.motion import MotorisedHead, Travel
 
 if TYPE_CHECKING:
@@ -25,17 +25,17 @@ _NUMBER: Final = r" *[+-]?\d+(?:\.\d+)? *"
 _ANGLE: Final = r" *[+-]?\d+\.\d+ *"
 _STATE: Final = r" *[01] *"
 _ERROR: Final = r" *\d{1,4}, *\d+, *[\x20-\x7e]+"
-_ERROR_EXAMPLE: Final = "an error such as 0, 451322, NO ERROR DETECTED"
+_ERROR_EXAMPLE: Final = message("an error such as 0, 451322, NO ERROR DETECTED")
 
-_HOME: Final = (
+_HOME: Final = message(
     "home it with the space around it clear and leave its motor on, or allow homing in the bench file"
 )
-_CHECK_HEAD: Final = "free the head, check its load, home it, then repeat this step"
+_CHECK_HEAD: Final = message("free the head, check its load, home it, then repeat this step")
 _AXIS_REMEDIES: Final = {
     facts.FOLLOWING_ERROR: _CHECK_HEAD,
-    **dict.fromkeys(facts.LIMITS, "check the limits in the bench file against those of the stage"),
-    facts.NOT_CONNECTED: "check the stage's cable and the axis in the bench file",
-    facts.TOO_FAST: "state a speed in the bench file that the stage can reach",
+    **dict.fromkeys(facts.LIMITS, message("check the limits in the bench file against those of the stage")),
+    facts.NOT_CONNECTED: message("check the stage's cable and the axis in the bench file"),
+    facts.TOO_FAST: message("state a speed in the bench file that the stage can reach"),
     facts.MOTOR_OFF: _HOME,
 }
 
@@ -74,7 +74,7 @@ class NewportHead(MotorisedHead):
             self.stop()
             self._mover.wait_while(self._turns, self._travel.time_limit_s(0.0))
         self._forget_errors()
-        self._refuse_other_settings("was switched off or its settings changed")
+        self._refuse_other_settings(message("was switched off or its settings changed"))
         if not self._motor_on():
             self._home()
 
@@ -85,7 +85,7 @@ class NewportHead(MotorisedHead):
     def start(self, target_rad: float) -> None:
         """Begin to move to an angle."""
         degrees = round(math.degrees(target_rad), facts.DEMAND_DECIMALS) + 0.0  # never -0
-        self._tell(f"PA{degrees:.{facts.DEMAND_DECIMALS}f}", f"move the axis to {degrees:.10g}°")
+        self._tell(f"PA{degrees:.{facts.DEMAND_DECIMALS}f}", message(f"move the axis to {degrees:.10g}°"))
 
     def moving(self) -> bool:
         """Return whether the axis is moving. Raises `InstrumentRefused` for an error, or if the motor is off."""
@@ -98,15 +98,15 @@ class NewportHead(MotorisedHead):
     def stop(self) -> None:
         """Decelerate and stop. Raises `InstrumentRefused` if the controller reports an error."""
         reply = self._session.urgent(f"{self._axis}ST;TB?", _ERROR, _ERROR_EXAMPLE)
-        self._refuse_error("was told to stop and reports error", reply)
+        self._refuse_error(message("was told to stop and reports error"), reply)
 
     def _home(self) -> None:
         if not self._allow_homing:
             raise InstrumentRefused(
                 self.name, "its motor is off: it may have lost its reference, which it cannot report", _HOME
             )
-        self._tell("MO", "switch the motor on")
-        self._tell("OR1", "home the axis")
+        self._tell("MO", message("switch the motor on"))
+        self._tell("OR1", message("home the axis"))
         self._mover.wait_while(self.moving, self._travel.time_limit_s(2.0 * math.tau))
 
     # --- proof --------------------------------------------------------------------------------------
@@ -116,8 +116,11 @@ class NewportHead(MotorisedHead):
         model, version = self._introduced()
         self._forget_errors()
         speed_deg_s = math.degrees(self._travel.speed_rad_s)
-        self._tell(f"VA{speed_deg_s:.{facts.DEMAND_DECIMALS}f}", f"set the speed to {speed_deg_s:.10g} deg/s")
-        self._refuse_other_settings("did not accept the speed")
+        self._tell(
+            f"VA{speed_deg_s:.{facts.DEMAND_DECIMALS}f}",
+            message(f"set the speed to {speed_deg_s:.10g} deg/s"),
+        )
+        self._refuse_other_settings(message("did not accept the speed"))
         decimals = len(self._angle_text().partition(".")[2])
         shown_rad = math.radians(10.0**-decimals)
         if shown_rad > self._travel.tolerance_rad:
@@ -131,7 +134,7 @@ class NewportHead(MotorisedHead):
 
     def _introduced(self) -> tuple[str, str]:
         """Return model and firmware. Raises `InstrumentRefused` for another instrument."""
-        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")
+        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", message("an identity"))
         match = re.fullmatch(r"(\S+) Version (\S.*)", reply.strip())
         if match is None or re.fullmatch(self._identity_pattern, match[1]) is None:
             raise InstrumentRefused(
@@ -168,10 +171,10 @@ class NewportHead(MotorisedHead):
         return self._ask("MO?", _STATE, "0 or 1").strip() == "1"
 
     def _angle_text(self) -> str:
-        return self._ask("TP?", _ANGLE, "an angle such as 45.0000").strip()
+        return self._ask("TP?", _ANGLE, message("an angle such as 45.0000")).strip()
 
     def _number(self, command: str) -> float:
-        return float(self._ask(command, _NUMBER, "a number"))
+        return float(self._ask(command, _NUMBER, message("a number")))
 
     def _ask(self, command: str, pattern: str, expected: str) -> str:
         return self._session.ask(f"{self._axis}{command}", pattern, expected)
@@ -186,12 +189,12 @@ class NewportHead(MotorisedHead):
             error = self._oldest_error()
             if _code(error) == facts.NO_ERROR:
                 return
-        self._refuse_error("reports errors without end, at last", error)
+        self._refuse_error(message("reports errors without end, at last"), error)
 
     def _tell(self, command: str, purpose: str) -> None:
         """Send a command to the axis once. Raises `InstrumentRefused` with the `purpose` if an error follows."""
         reply = self._session.command(f"{self._axis}{command};TB?", _ERROR, _ERROR_EXAMPLE)
-        self._refuse_error(f"was told to {purpose} and reports error", reply)
+        self._refuse_error(message(f"was told to {purpose} and reports error"), reply)
 
     def _refuse_error(self, how: str, error: str) -> None:
         code = _code(error)
@@ -203,7 +206,8 @@ class NewportHead(MotorisedHead):
         raise InstrumentRefused(
             self.name,
             f"the controller {how} {code}, {text}",
-            remedy or "check the axis in the bench file and, by its manual, the controller's settings",
+            remedy
+            or message("check the axis in the bench file and, by its manual, the controller's settings"),
         )
 
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.chambers import NUMBER, ChamberLimits, ControlledChamber
 from drivers.facts import thermotron as facts
-from drivers.interfaces import Identity, InstrumentRefused
+from drivers.interfaces import Identity, InstrumentRefused, message
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -41,7 +41,7 @@ class ThermotronChamber(ControlledChamber):
         super().__init__(name, session, clock, limits, identity=identity, write_gap_s=_WRITE_GAP_S)
 
     def _refuse_unready(self, target_c: float) -> None:
-        self._refuse_mode(facts.STOPPED | facts.MANUAL, "stopped or manual")
+        self._refuse_mode(facts.STOPPED | facts.MANUAL, message("stopped or manual"))
 
     def _demand(self, target_c: float) -> None:
         self._session.write(f"SETP1,{target_c:.1f}")
@@ -64,7 +64,7 @@ class ThermotronChamber(ControlledChamber):
         return self._number("PVAR1?")
 
     def _prove(self) -> None:
-        reply = self._session.ask("IDEN?", r"[\x20-\x7e]+", "an identity")
+        reply = self._session.ask("IDEN?", r"[\x20-\x7e]+", message("an identity"))
         match = re.search(self._identity_pattern, reply)
         if match is None:
             raise InstrumentRefused(
@@ -75,11 +75,11 @@ class ThermotronChamber(ControlledChamber):
         self._identity = Identity(facts.MAKER, match[0], firmware=reply.replace(match[0], "").strip(" ,-"))
 
     def _number(self, command: str) -> float:
-        return float(self._session.ask(command, NUMBER, "a temperature such as 22.000"))
+        return float(self._session.ask(command, NUMBER, message("a temperature such as 22.000")))
 
     def _refuse_mode(self, bits: int, wanted: str) -> None:
         """Raise `InstrumentRefused` unless the mode has one of the bits; `wanted` names them in the message."""
-        mode = int(self._session.ask("MODE?", r"\d{1,5}", "a mode such as 16"))
+        mode = int(self._session.ask("MODE?", r"\d{1,5}", message("a mode such as 16")))
         if not mode & bits:
             raise InstrumentRefused(
                 self.name,

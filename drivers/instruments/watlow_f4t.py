@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from drivers.chambers import NUMBER, ChamberLimits, ControlledChamber
 from drivers.facts import watlow_f4t as facts
-from drivers.interfaces import BadReading, Identity, InstrumentLost, InstrumentRefused
+from drivers.interfaces import BadReading, Identity, InstrumentLost, InstrumentRefused, message
 
 if TYPE_CHECKING:
     from drivers.clock import Clock
@@ -91,11 +91,11 @@ class WatlowF4TChamber(ControlledChamber):
         return self._temperature_c("PVALUE")
 
     def _prove(self) -> None:
-        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", "an identity")
+        reply = self._session.ask("*IDN?", r"[\x20-\x7e]+", message("an identity"))
         if re.search(self._identity_pattern, reply, re.IGNORECASE) is None:
             raise InstrumentRefused(
                 self.name,
-                f"{self._session.resource} is {reply!r}, not a {self._identity_pattern}",
+                f"{self._session.resource} identifies itself as {reply!r}, not as {self._identity_pattern}",
                 "check the address in the bench file",
             )
         fields = [*(field.strip(' "') for field in reply.split(",")), "", "", "", ""]
@@ -115,7 +115,9 @@ class WatlowF4TChamber(ControlledChamber):
     def _temperature_c(self, what: str) -> float:
         """Return PVALUE or SPOINT (`what`) of the loop, °C; query the unit first, as somebody may change it."""
         fahrenheit = self._fahrenheit()
-        value = float(self._session.ask(f"{self._loop}:{what}?", NUMBER, "a temperature such as 25.0"))
+        value = float(
+            self._session.ask(f"{self._loop}:{what}?", NUMBER, message("a temperature such as 25.0"))
+        )
         return (value - facts.FAHRENHEIT_AT_0_C) / facts.FAHRENHEIT_PER_C if fahrenheit else value
 
     def _switch_output(self, output: int, *, on: bool) -> None:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 from drivers.facts import zaber as facts
 from drivers.facts.zaber import checksum
-from drivers.interfaces import BadReading, Identity, InstrumentRefused
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, message
 from drivers.motion import MotorisedHead, Travel
 
 if TYPE_CHECKING:
@@ -23,35 +23,50 @@ if TYPE_CHECKING:
 
 _INTEGER: Final = r"-?\d{1,10}"
 _WORD: Final = r"[\w.-]+"
-_EXPECTED: Final = "a reply such as @01 0 07 OK IDLE -- 0, with the number of the command"
+_EXPECTED: Final = message("a reply such as @01 0 07 OK IDLE -- 0, with the number of the command")
 
 _FINE: Final = "--"
 _NOT_HOMED: Final = ("WR", "WH")
-_CHECK_HEAD: Final = "free the head, check its load, then repeat this step"
+_CHECK_HEAD: Final = message("free the head, check its load, then repeat this step")
 _TROUBLES: Final = {
-    "FF": ("reports a critical fault of the controller", "switch it off and have it serviced"),
-    "FD": ("has switched its motor driver off", "switch the controller off and on and home the head"),
-    "FO": ("has switched its motor driver off (overload)", "switch the controller off and on"),
-    "FQ": ("cannot trust its encoder", "check the encoder's cable, home the head, then repeat this step"),
+    "FF": (
+        message("reports a critical fault of the controller"),
+        message("switch it off and have it serviced"),
+    ),
+    "FD": (
+        message("has switched its motor driver off"),
+        message("switch the controller off and on and home the head"),
+    ),
+    "FO": (
+        message("has switched its motor driver off (overload)"),
+        message("switch the controller off and on"),
+    ),
+    "FQ": (
+        message("cannot trust its encoder"),
+        message("check the encoder's cable, home the head, then repeat this step"),
+    ),
     "FS": ("has stalled", _CHECK_HEAD),
-    "FE": ("ran into a limit", _CHECK_HEAD),
-    "FB": ("could not follow its path", _CHECK_HEAD),
-    "WL": ("met a limit sensor where none should be", "home the head and check its limits"),
-    "WM": ("was displaced while it stood", "home the head and take this point again"),
-    "WV": ("reports a supply voltage out of range", "check the power supply"),
-    "WT": ("reports a temperature out of range", "let it cool down"),
-    "NC": ("is being turned by its knob", "let nobody turn the knob during a run"),
-    "NI": ("was interrupted by another command", "let nobody else control the head during a run"),
+    "FE": (message("ran into a limit"), _CHECK_HEAD),
+    "FB": (message("could not follow its path"), _CHECK_HEAD),
+    "WL": (message("met a limit sensor where none should be"), message("home the head and check its limits")),
+    "WM": (message("was displaced while it stood"), message("home the head and take this point again")),
+    "WV": (message("reports a supply voltage out of range"), message("check the power supply")),
+    "WT": (message("reports a temperature out of range"), message("let it cool down")),
+    "NC": (message("is being turned by its knob"), message("let nobody turn the knob during a run")),
+    "NI": (
+        message("was interrupted by another command"),
+        message("let nobody else control the head during a run"),
+    ),
 }
 """Meaning and remedy of each warning flag."""
 
 _REJECTIONS: Final = {
-    "BADCOMMAND": "the controller does not know the command",
-    "BADDATA": "the value is outside what the controller allows",
-    "BADAXIS": "it has no such axis",
-    "STATUSBUSY": "it is moving",
-    "PARKED": "the axis is parked",
-    "DRIVERDISABLED": "the motor driver is off",
+    "BADCOMMAND": message("the controller does not know the command"),
+    "BADDATA": message("the value is outside what the controller allows"),
+    "BADAXIS": message("it has no such axis"),
+    "STATUSBUSY": message("it is moving"),
+    "PARKED": message("the axis is parked"),
+    "DRIVERDISABLED": message("the motor driver is off"),
 }
 
 
@@ -214,16 +229,16 @@ class ZaberHead(MotorisedHead):
             self._session.ensure_proved()
         addressed = self._axis if axis is None else axis
         self._number = self._number % facts.MOST_NUMBERS + 1
-        message = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
+        sent = f"{self._device} {addressed} {self._number:02d} {text}".rstrip()
         if self._checksums:
-            message += f":{checksum(message)}"
+            sent += f":{checksum(sent)}"
         # The reply to a rejected command contains a word for the reason in place of the data.
         pattern = (
             rf"@{self._device:02d} {addressed} {self._number:02d} "
             rf"(?:(OK) (BUSY|IDLE) (\S\S) ({data})|(RJ) (BUSY|IDLE) (\S\S) ([A-Z]+))(:[0-9A-F]{{2}})?"
         )
         send = self._session.urgent if urgent else self._session.command
-        line = send(f"/{message}", pattern, _EXPECTED)
+        line = send(f"/{sent}", pattern, _EXPECTED)
         self._refuse_bad_checksum(line, text)
         match = re.fullmatch(pattern, line)
         groups = [group for group in match.groups() if group is not None] if match else []
@@ -255,7 +270,7 @@ class ZaberHead(MotorisedHead):
                 "home it, then redo this point",
             )
         cause, remedy = _TROUBLES.get(
-            flag, ("shows an unknown warning", "see the protocol manual for its meaning")
+            flag, (message("shows an unknown warning"), message("see the protocol manual for its meaning"))
         )
         return InstrumentRefused(self.name, f"the head {cause} (flag {flag})", remedy)
 

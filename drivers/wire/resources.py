@@ -79,11 +79,11 @@ def discover(
         try:
             resources = (list_resources or _visa_resources)()
         except Exception as error:  # the underlying libraries may raise anything
-            notes.append(f"VISA resources could not be searched ({type(error).__name__}: {error})")
+            notes.append(message(f"VISA resources could not be searched ({type(error).__name__}: {error})"))
     try:
         ports = (list_ports or _serial_ports)()
     except Exception as error:
-        notes.append(f"serial ports could not be searched ({type(error).__name__}: {error})")
+        notes.append(message(f"serial ports could not be searched ({type(error).__name__}: {error})"))
     said = " ".join(str(warning.message) for warning in missed)
     notes += [text for package, text in _PACKAGES.items() if package in said]
     notes += [text for names, text in _LIBRARIES.items() if not any(map(importlib.util.find_spec, names))]
@@ -220,9 +220,7 @@ class Holding:
             holder = f"{told['who']} since {told['since']}"
         except (OSError, ValueError, KeyError, TypeError):
             holder = "another program"  # it has not yet written its name
-        return InstrumentRefused(
-            name, message(f"{resource} is in use by {holder}"), message("end that program or wait for it")
-        )
+        return InstrumentRefused(name, f"{resource} is in use by {holder}", "end that program or wait for it")
 
 
 def _who() -> str:

@@ -147,7 +147,7 @@ class MessageSession:
         command: str,
         timeout_s: float | None = None,
         pattern: str | re.Pattern[str] | None = None,
-        expected: str = "one line of text",
+        expected: str = message("one line of text"),
         lines: int = 1,
     ) -> str:
         """Send a command and return its reply, of `lines` lines, without the termination.
@@ -166,8 +166,8 @@ class MessageSession:
         if not fits:
             raise BadReading(
                 self.name,
-                message(f"the reply to {command} is {_shown(reply)}, not {expected}"),
-                message("try again, and if the fault returns, check cable and terminations"),
+                f"the reply to {command} is {_shown(reply)}, not {expected}",
+                "try again, and if the fault returns, check cable and terminations",
             )
         return reply
 
@@ -240,10 +240,10 @@ class MessageSession:
                 connection.close()
         if not quiet and isinstance(connection, AdapterConnection):
             raise InstrumentLost(
-                self.name, message(f"the adapter of {self.resource} accepts nothing"), _RESTART_ADAPTER
+                self.name, f"the adapter of {self.resource} accepts nothing", _RESTART_ADAPTER
             )
         if not quiet:
-            raise InstrumentLost(self.name, message(f"{self.resource} keeps sending"), _RESTART)
+            raise InstrumentLost(self.name, f"{self.resource} keeps sending", _RESTART)
 
     def _give_up(self) -> None:
         self._desynchronised = True
@@ -270,7 +270,7 @@ class MessageSession:
         if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
             raise InstrumentLost(
                 self.name,
-                message(f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s"),
+                f"{self.resource} accepted nothing of {command} within {self.timeout_s:g} s",
                 _RESTART_ADAPTER if isinstance(connection, AdapterConnection) else _RESTART,
             )
 
@@ -316,10 +316,8 @@ class MessageSession:
                 self._log("<", _text(data))
                 raise BadReading(
                     self.name,
-                    message(
-                        f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}"
-                    ),
-                    message("try again, and check that no other program uses the instrument"),
+                    f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
+                    "try again, and check that no other program uses the instrument",
                 )
         return data
 
@@ -350,24 +348,22 @@ class MessageSession:
         if not data:
             return InstrumentLost(
                 self.name,
-                message(f"{self.resource} did not answer {command} within {allowed_s:g} s"),
-                message("check its power, its interface setting and the cable"),
+                f"{self.resource} did not answer {command} within {allowed_s:g} s",
+                "check its power, its interface setting and the cable",
             )
         self._log("<", _text(data))
         return BadReading(
             self.name,
-            message(
-                f"the reply to {command} was cut short after {_shown(_text(data))}, "
-                f"no end of line within {allowed_s:g} s"
-            ),
-            message("try again, and if the fault returns, check cable and terminations"),
+            f"the reply to {command} was cut short after {_shown(_text(data))}, "
+            f"no end of line within {allowed_s:g} s",
+            "try again, and if the fault returns, check cable and terminations",
         )
 
     def _closed(self, cause: str) -> InstrumentLost:
         return InstrumentLost(
             self.name,
             cause,
-            message("check that the instrument is on and nobody else uses it, then repeat this step"),
+            "check that the instrument is on and nobody else uses it, then repeat this step",
         )
 
     def _refuse_leftovers(self, connection: Connection | AdapterConnection, command: str) -> None:
@@ -380,8 +376,8 @@ class MessageSession:
         self._log("<", _text(data).rstrip("\r\n"))
         raise BadReading(
             self.name,
-            message(f"{_shown(_text(data).rstrip())} came unasked before {command}"),
-            message("repeat this step, and check that no other program uses the instrument"),
+            f"{_shown(_text(data).rstrip())} came unasked before {command}",
+            "repeat this step, and check that no other program uses the instrument",
         )
 
     def _log(self, direction: str, text: str) -> None:

@@ -14,10 +14,10 @@ from drivers.scpi_voltmeter import ProvenSetting, ScpiVoltmeter
 from tests.support.scripted_session import Pairs, ScriptedSession
 
 MODELS: dict[str, tuple[Any, Any, str]] = {
-    "34401A": (Agilent34401A, "x", "not a 34401A; check the address"),
-    "2000": (Keithley2000, "x", "not a Keithley 2000"),
-    "34461A": (Keysight34461A, "x", "not a 34460A, 34461A, 34465A or 34470A"),
-    "34970A": (Keysight34970A, {"x": 101}, "not a 34970A or 34972A; check the address"),
+    "34401A": (Agilent34401A, "x", "not as 34401A; check the address"),
+    "2000": (Keithley2000, "x", "not as Keithley 2000"),
+    "34461A": (Keysight34461A, "x", "not as 34460A, 34461A, 34465A or 34470A"),
+    "34970A": (Keysight34970A, {"x": 101}, "not as 34970A or 34972A; check the address"),
 }
 CARD: Pairs = [("SYST:CTYP? 100", "HEWLETT-PACKARD,34901A,0,2.3")]
 

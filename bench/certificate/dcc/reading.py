@@ -126,7 +126,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     Raises `Refused` if the file cannot be read or is not intact, or if a register beside it is damaged.
     """
     try:
-        with refusing("check name and permissions", path, verb="read"):
+        with refusing("check name and permissions", path, reading=True):
             content = read_regular(path, MOST_BYTES)
         if content.startswith(b"%PDF"):
             content = _attached(path, content)

@@ -3,8 +3,10 @@
 const _ = (() => {
   const told = window.BENCH_TEXTS;
   if (!told) return (text) => text;
-  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), SURE = 5, SHORT = 60;
-  const TYPED = /'bench [^']*'|: bench .*|kept in \{\d+\}/g;  // values of blanks in a command or path stay as they are
+  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units);
+  const AROUND = new RegExp(`^${told.patterns.around}$`, "su"), SENTENCE = new RegExp(told.patterns.sentence, "u");
+  const CLAUSE = new RegExp(told.patterns.clause, "u"), WORD = new RegExp(told.patterns.word, "gu");
+  const TYPED = new RegExp(told.patterns.typed, "gu");  // values of blanks in a command or path stay as they are
   const rules = new Intl.PluralRules(told.language), FORMS = { one: 0, few: 1, many: 2, other: 1 };
   const letters = (text) => text.replace(/\{\d+\}/g, "").replace(/[^\p{L}\d]/gu, "").length;
   const patternOf = (text) => {
@@ -37,10 +39,10 @@ const _ = (() => {
   const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
   const copied = (text, surely = true, clauses = false) => {
     for (const { names, typed, pattern, forms, sure, first } of filled) {
-      if ((sure >= SURE) !== surely) continue;
+      if ((sure >= told.sure) !== surely) continue;
       const found = pattern.exec(text);
-      if (found && !clauses && first && found.slice(1).some((value) => /; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: /.test(value))) continue;
-      if (!found || (!surely && found.slice(1).some((value) => value.length > SHORT || foreign(value)))) continue;
+      if (found && !clauses && first && found.slice(1).some((value) => CLAUSE.test(value))) continue;
+      if (!found || (!surely && found.slice(1).some((value) => value.length > told.short || foreign(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, typed.has(name) ? found[at + 1] : say(found[at + 1])])));
     }
     return null;
@@ -53,7 +55,7 @@ const _ = (() => {
     const rest = text.slice(colon + 2), told = part(rest);  // an instrument and its fault
     return told === rest ? text : `${say(text.slice(0, colon))}: ${told}`;
   };
-  const foreign = (text) => (text.match(/\b[a-z]{3,}\b/g) || []).some((word) => !UNITS.has(word)) && part(text) === text;
+  const foreign = (text) => (text.match(WORD) || []).some((word) => !UNITS.has(word)) && part(text) === text;
   const settled = (text) => !text.trim().includes(" ") || !foreign(text);
   const upper = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
   const seen = new Map();
@@ -64,6 +66,15 @@ const _ = (() => {
       seen.set(text, found(text));
     }
     return seen.get(text);
+  };
+  const lastClause = (text) => {
+    const at = text.lastIndexOf("; "), last = text.slice(at + 2), told = part(last);
+    return at >= 0 && told !== last ? `${say(text.slice(0, at))}; ${told}` : null;
+  };
+  const fault = (text) => {  // an instrument's name and its fault, an entry
+    const at = text.indexOf(": "), rest = text.slice(at + 2);
+    const told = at >= 0 && !text.slice(0, at).includes(" ") ? known(rest) || copied(rest) : null;
+    return told && `${say(text.slice(0, at))}: ${told}`;
   };
   const found = (text) => {
     if (numeric(text)) return number(text);
@@ -77,9 +88,11 @@ const _ = (() => {
     for (const joint of ["\n", "  "]) {
       if (text.includes(joint)) return text.split(joint).map(say).join(joint);
     }
-    const end = text.search(/(?<=[.?!]) (?=[A-Z(])/);  // the rest may be an entry of several sentences
+    const clause = lastClause(text) || fault(text);
+    if (clause) return clause;
+    const end = text.search(SENTENCE);  // the rest may be an entry of several sentences
     if (end >= 0) return `${say(text.slice(0, end))} ${say(text.slice(end + 1))}`;
-    const around = /^([\s:;,.([«»✓✗⚠▶○■?●–·]*)(.*?)([\s:;,.)\]]*)$/su.exec(text);
+    const around = AROUND.exec(text);
     if (around) {
       let [, before, inner, after] = around;
       if (inner.split("(").length > inner.split(")").length && after.includes(")")) {  // a bracket opened in the text

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, cast
 
+from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import SURROUNDINGS, InstrumentForm, InstrumentsSection
 from bench.config.devices.device import WiredForm, is_serial
@@ -117,7 +118,9 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
     try:
         return device.class_of(which)
     except Exception as error:
-        cause = f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
+        cause = message(
+            f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
+        )
         raise BenchError(section.name, cause, f"correct the {which}, then start again") from error
 
 

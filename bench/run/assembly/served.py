@@ -393,7 +393,9 @@ def _simulated(
         )
     except ValueError as error:
         cause, _, remedy = str(error).partition("; ")
-        raise BenchError("simulation", cause, remedy or "correct the faults in the bench file") from error
+        raise BenchError(
+            "simulation", cause, remedy or message("correct the faults in the bench file")
+        ) from error
 
 
 TASK_TIME_S = 30.0

@@ -1,0 +1,101 @@
+"""A run in Ukrainian, as its operator sees it: faults, a wrong answer, a stop, the resumption, the verdict."""
+
+import io
+import re
+from pathlib import Path
+
+import pytest
+
+from bench.cli.app import main
+from bench.run.folder import Run
+from bench.run.person import OpenPrompt
+from tests.support.answering import answer_to
+from tests.support.pages import ROOT
+
+TYPED = re.compile(
+    r"«bench[^»]*»|'[^']*'|\"[^\"]*\"|\bbench [a-z]+ .*|(?<!\w)--?[a-z][\w-]*|[\w.-]*/[\w./-]*|\w+\.(?:yaml|json)"
+    r"|зразкові: .*|\[.*\]"
+)
+"""What stays as it is: commands, quoted texts, options, paths, files, and units in the brackets of a question."""
+TWO_WORDS = re.compile(r"\b[A-Za-z]{2,},? [a-z]{3,}\b")
+"""Two words of English, one after the other; a name, a unit or an identifier stands alone."""
+FAULTS = ("drop", "garble", "refuse, seconds: 4000", "overload", "error")
+QUICK = ("run", "quick", "--dry-run", "--name", "one")
+
+
+def english_in(text):
+    """Return the places in a text at which two words of English follow each other."""
+    return [found[0] for line in text.splitlines() for found in TWO_WORDS.finditer(TYPED.sub("·", line))]
+
+
+class Operator(io.TextIOBase):
+    """Standard input from an operator who answers the open question of the run, until it is the question `stops`.
+
+    The first answer to each of the first questions is not understood.
+    """
+
+    def __init__(self, stops=None):
+        self.questions, self.stops, self.events = 0, stops, Path("runs/one/events.jsonl")
+        self.confused = {"", "what", ":foo"}
+
+    def readline(self, size=-1):
+        self.questions += 1
+        if self.questions == self.stops:
+            return ""
+        if self.confused and self.questions > 2:
+            return f"{self.confused.pop()}\n"
+        asked = OpenPrompt()
+        for event in Run(self.events.parent).history.events:
+            asked.take(event)
+        return f"{answer_to(asked.prompt.prompt)}\n"
+
+
+@pytest.fixture
+def at_the_bench(capsys, empty_folder, monkeypatch):
+    """Return what carries out a command in Ukrainian, asserts that it prints no English, and returns its output."""
+    monkeypatch.setenv("BENCH_LANGUAGE", "uk")
+
+    def call(*arguments, status, operator=None):
+        monkeypatch.setattr("sys.stdin", operator or io.StringIO())
+        with pytest.raises(SystemExit) as ended:
+            main(list(arguments))
+        said = "".join(capsys.readouterr())
+        assert ended.value.code == status, said
+        assert english_in(said) == [], said
+        return said
+
+    return call
+
+
+def test_english_is_found_beside_what_stays():
+    assert english_in("сеанс зупинено; the head stopped; «bench resume a run»") == ["the head"]
+    assert english_in("межа 300 µg, U (k = 2), gls; далі: bench run calibration --bench my file") == []
+
+
+@pytest.mark.slow(seconds=2)
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_told_in_ukrainian(at_the_bench, fault):
+    bench = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    faults = f"  faults: [{{instrument: voltmeter.y, matching: FETC, probability: 1.0, fault: {fault}}}]\n"
+    Path("faulty.yaml").write_text(bench + faults, encoding="utf-8")
+    assert "вольтметр y: " in at_the_bench(*QUICK, "--bench", "faulty.yaml", status=2)
+
+
+@pytest.mark.slow(seconds=10)
+def test_a_run_with_a_stop_and_its_verdict_is_ukrainian_throughout(at_the_bench):
+    at_the_bench("run", "quik", "--dry-run", status=2)
+    at_the_bench(*QUICK, "--bench", "none.yaml", status=2)
+    at_the_bench("run", "quick", status=2)
+    assert "введення скінчилося" in at_the_bench(
+        *QUICK, "--answers", "terminal", status=2, operator=Operator(9)
+    )
+    assert "ПРОЙДЕНО" in at_the_bench("resume", "one", status=0, operator=Operator())
+    assert "ПРОЙДЕНО" in at_the_bench("runs", status=0)
+    for command in (
+        ("resume", "one"),
+        ("abort", "one"),
+        ("control", "one", "stop"),
+        ("resume", "two"),
+        QUICK,
+    ):
+        at_the_bench(*command, status=2)
