@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from scipy.optimize import least_squares
 from bench.base.arrays import Floats
 from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.design import FreeRows, make_problem
-from bench.calibration.free import modulus_rows
+from bench.calibration.free import modulus_columns, modulus_rows
 from bench.calibration.intrinsic import intrinsic_of
+from bench.calibration.result import SpoiledFit
 from bench.model import CATALOGUE, AppliedEffect, Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_csv
@@ -439,3 +441,14 @@ def test_a_moving_position_is_named_and_not_the_noise(passes, modulus_g):
         assert not found.lack_of_fit.accepted()
         assert found.noise.reading == pytest.approx(1e-4, rel=0.3)
         assert found.birge > 2
+
+
+def test_effects_so_large_that_no_force_changes_the_readings_are_refused_in_words():
+    """As in fits to readings of a pass whose angles are all wrong."""
+    problem = SimpleNamespace(
+        model=SimpleNamespace(name="paper + scale_step", effects=("scale_step",)),
+        by_stages=lambda *_: np.zeros((1, 3, 12)),
+    )
+    still = SimpleNamespace(readings=np.zeros((1, 3)))
+    with pytest.raises(SpoiledFit, match=r"the effects of model paper \+ scale_step are too large"):
+        modulus_columns(problem, Block(K, U0), np.zeros(0), lambda _: still, np.ones((1, 3)), slice(None))
