@@ -21,6 +21,7 @@ from bench.model import Distribution, ForwardModel, Mounting
 from bench.planning.optimal_design import Goal, Stand, coefficient_goals, vector_goal
 from bench.planning.points import ChosenPoints, Sites, Times, best_within, cheapest
 from bench.planning.requirements import Setting, conditions_of, fitted, settings_of
+from benchmarks.campaign import arguments
 
 ANGLES = 24
 COUNTED = Times().cost(50.0, verified=False)
@@ -78,6 +79,7 @@ def compare(stand: Stand, sites: Sites) -> None:
 
 
 def main() -> None:
+    arguments(__doc__)
     bench = load_bench(find_bench("paper-stand"))
     model = ForwardModel(bench.installation_models())
     angles = 2 * np.pi * np.arange(ANGLES) / ANGLES

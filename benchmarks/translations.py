@@ -1,4 +1,4 @@
-"""Check that every text that people read has its translation; `--write` adds new texts to the catalogues.
+"""Check that every text that people read has its translation.
 
     python -m benchmarks.translations
 
@@ -34,6 +34,7 @@ from bench.base.template_texts import (
     segment_of,
     trimmed,
 )
+from benchmarks.campaign import arguments
 
 ROOT: Final = Path(__file__).parents[1]
 CATALOGUES: Final = ROOT / "bench" / "base" / "catalogues"
@@ -315,11 +316,12 @@ def save(file: Path, told: Catalog) -> None:
     file.write_bytes((header + plural).encode() + stream.getvalue().lstrip())
 
 
-def main(arguments: list[str]) -> int:
+def main(given: list[str] | None = None) -> int:
+    asked = arguments(__doc__, given, write=(False, "add new texts to the catalogues"))
     texts, told_off = all_entries(), [*problems_of_words(), *all_unmarked()]
     for language in LANGUAGES.keys() - {ENGLISH}:
         told = catalogue(language)
-        if "--write" in arguments:
+        if asked.write:
             told = written(told, texts, language)
             save(CATALOGUES / f"{language}.po", told)
         told_off += problems(told, texts, language)
@@ -328,4 +330,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

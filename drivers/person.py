@@ -255,8 +255,8 @@ def watching(person: Person, look: Callable[[], None], every_s: float, clock: Cl
             told.slice_s = before_s
 
 
-ATTEMPTS: Final = 5
-"""The most times that a question is asked."""
+ATTEMPTS: Final = 1000
+"""The most times that a question is asked: no tired person, but a program that answers, is wrong so often."""
 
 APPROACH: Final[dict[Direction, str]] = {
     1: message("approach with the angle rising, from below"),
@@ -271,18 +271,17 @@ def ask_until(
     person: Person,
     question: Prompt,
     read: Callable[[str], _Read],
-    attempts: int = ATTEMPTS,
     again: Prompt | None = None,
 ) -> _Read:
     """Ask a question until `read` accepts the answer; return the value from `read`.
 
     `read` takes the answer's text; to reject it, it raises `ValueError` with a sentence that says what is
     wrong. The next prompt is this sentence followed by the question, or by `again` if given. Each attempt
-    adds its number to the `id` of the prompt. Raises `ValueError` with the last sentence after `attempts`
+    adds its number to the `id` of the prompt. Raises `ValueError` with the last sentence after `ATTEMPTS`
     rejected answers, and `NoAnswer` if nobody can answer.
     """
     trouble = ""
-    for attempt in range(1, attempts + 1):
+    for attempt in range(1, ATTEMPTS + 1):
         asked = again if trouble and again is not None else question
         prompt = replace(asked, id=f"{asked.id}#{attempt}", text=f"{trouble} {asked.text}".lstrip())
         answer = person.ask(prompt)

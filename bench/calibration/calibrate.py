@@ -39,7 +39,7 @@ from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
-ROUNDING: Final = 1e-9
+ROUNDING: Final = 2.0 * gls.LEAST_NOISE
 """Readings with noise below this fraction of the largest signal count as computed values, without outliers."""
 
 
@@ -58,7 +58,6 @@ def calibrate(
     find_shared: bool = True,
     known: KnownStand | None = None,
     nominal: Sequence[float] | None = None,
-    posed: Posed | None = None,
 ) -> Calibration:
     """Estimate the twelve coefficients from a table of readings.
 
@@ -74,16 +73,27 @@ def calibrate(
     the noise is assumed independent from reading to reading. `known` is prior knowledge of stand and noise from
     other runs: its angles replace those in `stand_u`, its noise is combined with that of the readings. `nominal`
     are nominal scale factors (x, y, z): free positions alone do not determine the signs, and take those of
-    `nominal`, or else positive ones. `posed` is the result of `pose` for these readings, if it is already known.
+    `nominal`, or else positive ones.
 
     Raises `CalibrationError` if the readings do not determine the coefficients, or contain a mistake.
     """
-    by = find_estimator(estimator)
-    assumed = _still_assumed(assumed_u or {}, known)
-    chosen, rows, problem = posed or pose(
-        readings, model, {**stand_u, **(assumed_u or {})}, by, known,
+    posed = pose(
+        readings, model, stand_u, find_estimator(estimator), known, assumed_u=assumed_u,
         nominal_angles=nominal_angles, join_free=join_free, join_verification=join_verification,
     )  # fmt: skip
+    return solve(posed, g_m_s2, noise, find_shared=find_shared, nominal=nominal)
+
+
+def solve(
+    posed: Posed,
+    g_m_s2: float,
+    noise: Noise | None = None,
+    *,
+    find_shared: bool = True,
+    nominal: Sequence[float] | None = None,
+) -> Calibration:
+    """Solve the problem of a calibration; the other arguments, and the errors, are those of `calibrate`."""
+    readings, by, chosen, rows, problem = posed.readings, posed.by, posed.chosen, posed.rows, posed.problem
     resolution = (rows if len(rows) else chosen.free).resolution
     naming = partial(mistakes.naming_deviating, problem, rows)
     with naming():
@@ -121,7 +131,7 @@ def calibrate(
         g_m_s2=g_m_s2,
         block=fit.block,
         covariance=covariance,
-        covariance_readings=covariance - birge**2 * _of_assumed(problem, fit, assumed, by),
+        covariance_readings=covariance - birge**2 * _of_assumed(problem, fit, posed.assumed, by),
         gain=_whole_gain(fit.gain, fit.free_gain, chosen, len(readings)),
         slope=_whole(fit.slope, chosen, len(readings)),
         shared=shared.components,
@@ -134,7 +144,7 @@ def calibrate(
         fitted=rows,
         residuals=fit.residuals,
         skipped=len(readings.skipped),
-        model=model.name,
+        model=problem.model.name,
         stand=_stand(problem, fit) if by.weighs_all else {},
         effects=_effects(problem, fit) if by.weighs_all else {},
         assume=partial(_assumed, problem, fit.block, fit.gain, readings.unit, stated=nominal is not None),
@@ -143,7 +153,7 @@ def calibrate(
         modulus_error=fit.modulus,
         outliers=found,
         notes=(
-            *_notes_on_rows(readings, chosen, by.name, join_free=join_free),
+            *_notes_on_rows(posed),
             *_on_levels(problem),
             *notes,
             *notes_on_noise(
@@ -152,16 +162,25 @@ def calibrate(
         ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         signs="" if not problem.upper else "positive" if nominal is None else "bench file",
-        angles="nominal" if nominal_angles or by.angles_rad is not None else "read back",
+        angles="nominal" if posed.nominal_angles else "read back",
     )
 
 
 class Posed(NamedTuple):
-    """The rows of a table that a calibration uses, the oriented ones with the angles to use, and its problem."""
+    """The problem of a calibration, and the rows of `readings` that it uses, the oriented ones with their angles.
 
+    `assumed` are the names of the stand angles that are only assumed. `join_free` says whether free positions
+    were asked for, `nominal_angles` whether the angles in `rows` or `problem` are nominal ones.
+    """
+
+    readings: Readings
+    by: Estimator
     chosen: FittedRows
     rows: Readings
     problem: Problem
+    assumed: frozenset[str]
+    join_free: bool
+    nominal_angles: bool
 
 
 def pose(
@@ -171,23 +190,23 @@ def pose(
     by: Estimator = ESTIMATORS[GLS],
     known: KnownStand | None = None,
     *,
+    assumed_u: Mapping[str, float] | None = None,
     nominal_angles: bool = False,
     join_free: bool = True,
     join_verification: bool = False,
 ) -> Posed:
-    """Return the rows and the problem of a calibration; the arguments and errors are those of `calibrate`."""
+    """Return the problem of a calibration; the arguments and errors are those of `calibrate`."""
     chosen = _choose(readings, model, by, join_free=join_free, join_verification=join_verification)
     rows = mistakes.at_nominal_angles(chosen.oriented) if nominal_angles else chosen.oriented
     conditions = rows.conditions()
     if by.angles_rad is not None:
         conditions = replace(conditions, angle_rad=by.angles_rad(rows))
-    return Posed(chosen, rows, make_problem(model, conditions, stand_u, _free_rows(chosen, readings), known))
-
-
-def _still_assumed(assumed_u: Mapping[str, float], known: KnownStand | None) -> dict[str, float]:
-    """Return the assumed uncertainties of the stand angles that `known` does not cover."""
-    told = set() if known is None else {name for name, _ in known.keys}
-    return {name: u for name, u in assumed_u.items() if name not in told}
+    u = {**stand_u, **(assumed_u or {})}
+    problem = make_problem(model, conditions, u, _free_rows(chosen, readings), known)
+    told = frozenset() if known is None else {name for name, _ in known.keys}
+    assumed = frozenset(assumed_u or {}) - told
+    at_nominal = nominal_angles or by.angles_rad is not None
+    return Posed(readings, by, chosen, rows, problem, assumed, join_free, at_nominal)
 
 
 # --- rows -------------------------------------------------------------------------------------------
@@ -257,15 +276,18 @@ def _free_rows(chosen: FittedRows, readings: Readings) -> FreeRows | None:
     )
 
 
-def _notes_on_rows(
-    readings: Readings, chosen: FittedRows, estimator: str, *, join_free: bool
-) -> tuple[str, ...]:
+def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
+    readings, chosen, estimator = posed.readings, posed.chosen, posed.by.name
     if np.any(chosen.free.installation == VERIFICATION):
         return (message("the verification points joined the fit, so they do not check it independently"),)
     count = int(np.sum(readings.installation == FREE))
     if not count or len(chosen.free):
         return ()
-    why = message(f"the estimator {estimator} needs oriented readings") if join_free else message("as asked")
+    why = (
+        message(f"the estimator {estimator} needs oriented readings")
+        if posed.join_free
+        else message("as asked")
+    )
     return (message(f"{count} free position{' is' if count == 1 else 's are'} not used: {why}"),)
 
 
@@ -365,7 +387,7 @@ def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:
     return max(1.0, float(np.sqrt(test.chi2 / test.dof)))
 
 
-def _of_assumed(problem: Problem, fit: gls.Fit, assumed: Mapping[str, float], by: Estimator) -> Floats:
+def _of_assumed(problem: Problem, fit: gls.Fit, assumed: frozenset[str], by: Estimator) -> Floats:
     """Return the part (12, 12) of the covariance due to stand angles whose size is only assumed."""
     names = [STAND_ANGLES[unknown.column] for unknown in problem.stand]
     places = [j for j, name in enumerate(names) if name in assumed]

@@ -33,6 +33,11 @@ SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
 """A component below this fraction of the noise variance is dropped, because others explain it."""
+LEAST_ALONE: Final = 0.01
+"""Least part of the noise variance that is independent in each reading if repeats share a rounding error.
+
+Without it the covariance of repeats that round alike would be singular.
+"""
 MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
@@ -145,7 +150,9 @@ def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) ->
     shared = _by_group(rounding.groups, np.sqrt(rounding.variance), range(3), further)
     found = _mixed(problem, fit, [*(t.columns for t in basic), shared])
     wider = widening(fit.noise.reading_dof) ** 2
-    variances = np.array([wider, wider, wider, wider * (fit.noise.setting_rad > 0), 1.0])
+    # the noise includes rounding: only the rest of it is independent from repeat to repeat
+    alone = np.maximum(1.0 - rounding.variance / fit.noise.by_channel**2, LEAST_ALONE)
+    variances = np.array([*(wider * alone), wider * (fit.noise.setting_rad > 0), 1.0])
     covariance = replace(found, known=np.zeros_like(found.known)).covariance(variances)
     size = float(np.sqrt(rounding.variance.mean()))
     component = Component(ROUNDED, "all", size, unit, fit.noise.dof, 0.0)

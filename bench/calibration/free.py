@@ -16,7 +16,7 @@ import numpy as np
 from bench.base.arrays import Floats, Mask
 from bench.calibration.design import FIXED, FreeRows, Problem
 from bench.calibration.mistakes import refuse_still
-from bench.calibration.result import CalibrationError, Noise, Triangular
+from bench.calibration.result import CalibrationError, Noise, SpoiledFit, Triangular
 from bench.model.conditions import Conditions
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, modulus_slopes
@@ -91,7 +91,18 @@ def modulus_columns(
     pairs = [(at(force + step).readings, at(force - step).readings) for step in STEP_G * np.eye(3)]
     by_force = np.stack([(up - down)[rows] for up, down in pairs], axis=2) / (2 * STEP_G)
     along = force / np.linalg.norm(force, axis=1, keepdims=True)
-    return np.asarray(-np.einsum("mi,mij,mjp->mp", along, np.linalg.inv(by_force), by_unknown, optimize=True))
+    try:
+        inverse = np.linalg.inv(by_force)
+    except np.linalg.LinAlgError:
+        raise _too_large(problem.model) from None
+    return np.asarray(-np.einsum("mi,mij,mjp->mp", along, inverse, by_unknown, optimize=True))
+
+
+def _too_large(model: ForwardModel) -> SpoiledFit:
+    return SpoiledFit(
+        f"the effects of model {model.name} are too large for these readings",
+        "check the sizes in the model file",
+    )
 
 
 def _force(model: ForwardModel, free: FreeRows, block: Block) -> Floats:
@@ -107,10 +118,7 @@ def _force(model: ForwardModel, free: FreeRows, block: Block) -> Floats:
         if not np.all(np.isfinite(force)):
             lacking = effects_without_data(model, block.specific_force(free.signal), free.conditions, block)
             if not lacking:
-                raise CalibrationError(
-                    f"model {model.name}: its effects are too large for these readings; check the sizes in the "
-                    "model file"
-                )
+                raise _too_large(model)
             raise CalibrationError(
                 f"{lacking}; remove the effect from the model file or, if readings of known orientation remain, "
                 "use 'bench calibrate' with --no-join-free and without --join-verification"

@@ -46,8 +46,11 @@ ESTIMATIONS: Final = 8
 """Largest number of noise estimations in a fit: the sizes may alternate between two likelihood maxima."""
 FAR_FROM_STILL: Final = 0.1
 """The fit has failed if an unknown still moves by more than this fraction of its u in the last iteration."""
-LEAST_NOISE: Final = 1e-11
-"""Lower limit of the noise as a fraction of the largest signal: it keeps noise-free data solvable."""
+LEAST_NOISE: Final = 1e-8
+"""Lower limit of the noise as a fraction of the largest signal, far below the noise of a voltmeter.
+
+With less noise, terms of second order in the stand's angles seem to determine what no reading shows.
+"""
 
 
 @dataclass(frozen=True)

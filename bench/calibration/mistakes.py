@@ -13,7 +13,13 @@ import numpy as np
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask, least_squares, rms
 from bench.base.languages import message
 from bench.calibration.design import Problem
-from bench.calibration.result import Calibration, CalibrationError, FaultyReadings, SpoiledFit
+from bench.calibration.result import (
+    Calibration,
+    CalibrationError,
+    DeviatingReadings,
+    FaultyReadings,
+    SpoiledFit,
+)
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block, linear_columns, within_half_turn
 from bench.readings.columns import OVERLOAD
@@ -209,7 +215,7 @@ def refuse_singular(block: Block, u: Floats | None = None) -> None:
 
 @contextmanager
 def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
-    """Context in which a `SpoiledFit` also names the deviating rows.
+    """Context in which a `SpoiledFit` becomes a `DeviatingReadings`, which names the deviating rows.
 
     The names replace its advice; it is raised unchanged if no row deviates strongly.
     """
@@ -219,14 +225,25 @@ def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
         far = _deviation(problem, rows)
         if not np.any(far > 1.0):
             raise
-        count = int(np.count_nonzero(far > 1.0))
-        worst = np.argsort(-far, kind="stable")[: min(MOST_NAMED, count)]
-        named = " and ".join(_row_of(rows, int(i)) for i in np.sort(worst))
-        more = f" ({count} in all)" if count > MOST_NAMED else ""
-        raise SpoiledFit(
-            f"{error.args[0]}; these readings are far off: {named}{more}",
+        raise DeviatingReadings(
+            f"{error.args[0]}; these readings are far off: {_named(rows, far)}",
             "find the mistake with 'bench diagnose'",
         ) from error
+
+
+def _named(rows: Readings, far: Floats) -> str:
+    """Return in words which rows deviate by `far` (n,) > 1: whole passes, or the most deviating rows, in order."""
+    turns = list(zip(rows.installation.tolist(), rows.pass_number.tolist(), strict=True))
+    of_turn = {turn: np.array([one == turn for one in turns]) for turn in dict.fromkeys(turns)}
+    wrong = {
+        turn: own for turn, own in of_turn.items() if np.all(far[own] > 1.0) and np.count_nonzero(own) > 1
+    }
+    left = np.where(np.any([*wrong.values(), far < 0.0], axis=0), 0.0, far)
+    count = int(np.count_nonzero(left > 1.0))
+    worst = np.sort(np.argsort(-left, kind="stable")[: min(MOST_NAMED, count)])
+    named = [f"all of installation {label}, pass {number}" for label, number in wrong]
+    named += [_row_of(rows, int(i)) for i in worst]
+    return " and ".join(named) + (f" and {count - MOST_NAMED} more" if count > MOST_NAMED else "")
 
 
 def _deviation(problem: Problem, rows: Readings) -> Floats:

@@ -29,6 +29,10 @@ class SpoiledFit(FaultyReadings):
         return "; ".join(map(str, self.args))
 
 
+class DeviatingReadings(SpoiledFit):
+    """A `SpoiledFit` that names the readings that are far off."""
+
+
 @dataclass(frozen=True)
 class SourceOfError:
     """An error source that the readings do not show.

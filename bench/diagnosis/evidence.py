@@ -34,13 +34,16 @@ from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
 from bench.model.effects import FormulaEffect
 
-SIZES: Final = (1.0, 4.0, 20.0)
-"""Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger."""
-LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.12))
+SIZES: Final = (1.0, 4.0, 20.0, 80.0)
+"""Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger, extreme.
+
+Without the widest, the tail of the prior would decide between aliases that need different sizes.
+"""
+LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.1, 0.02))
 """ln of the prior probability of each of `SIZES`: larger effects are rarer."""
 
-KNOWN_SIZE: Final = max(SIZES)
-"""Prior size, in plausible sizes, of an effect already in the model: the widest, so that data decide."""
+KNOWN_SIZE: Final = SIZES[-2]
+"""Prior size, in plausible sizes, of an effect already in the model: so wide that data decide."""
 BEYOND_BELIEF: Final = FARTHEST * KNOWN_SIZE
 """Largest credible size of an effect, in plausible sizes.
 

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Final
 
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
-from bench.calibration.result import CalibrationError
+from bench.calibration.result import CalibrationError, DeviatingReadings
 from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.candidates import NOTHING_KNOWN, Candidates, KnownBench, Variant, is_form, with_terms
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
@@ -505,6 +506,13 @@ class MistakesAlone:
     reason: str
 
 
+UNEXPLAINED: Final = (
+    "no mistake or effect that 'bench diagnose' knows explains them; correct these rows in the readings file (of a "
+    "run, that of 'bench export --csv') or delete them, and diagnose the file"
+)
+"""What to do about readings that spoil the fit of a diagnosis, too."""
+
+
 def diagnose_fully(
     readings: Readings,
     model: ForwardModel,
@@ -534,7 +542,13 @@ def diagnose_fully(
         mistakes = replace(diagnosis.mistakes, mistakes=(*known, *diagnosis.mistakes.mistakes))
         diagnosis = replace(diagnosis, mistakes=mistakes)
     model = diagnosis.linear.model
-    blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
+    try:
+        blocks = tuple(_shown(diagnosis, model, stand_u, g_m_s2))
+    except DeviatingReadings as error:
+        reason = DeviatingReadings(error.args[0], UNEXPLAINED)
+        if not diagnosis.mistakes.mistakes:
+            raise reason from error
+        raise MistakesLeaveTooLittle(diagnosis.mistakes, str(reason)) from error
     shown = blocks[0]
     told = [*filter(None, [there.not_judged(readings)]), *contradicted(model.effects, shown.before.effects)]
     return FullDiagnosis(

@@ -134,7 +134,8 @@ TermColumns = tuple[DictionaryTerm, int | None, Floats]
 def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """Yield each term for single channels and for all channels, with columns (k, N) of plausible sizes.
 
-    Terms of the stand or the head are for all channels; terms that change no row are left out.
+    Terms of the stand or the head are for all channels, products of the force for single ones, since each
+    accelerometer has its own. Terms that change no row are left out.
     """
     terms = list(_terms(linear))
     for term, changes in zip(terms, _changes(linear, terms), strict=True):
@@ -142,7 +143,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
                 yield term, channel, changes[:, channel]
-        if any(shown):
+        if any(shown) and (term.course is not None or term.stage is not Stage.BLOCK_OUTPUT):
             yield term, None, changes.sum(axis=1)
 
 

@@ -12,9 +12,10 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
-from bench.calibration.calibrate import Posed, first_guess, pose, usable_rows
+from bench.calibration.calibrate import Posed, first_guess, pose, solve
 from bench.calibration.design import FIXED, Problem
 from bench.calibration.free import modulus_columns
+from bench.calibration.mistakes import naming_deviating
 from bench.calibration.noise import repeat_groups, whiten
 from bench.diagnosis.levels import HARDLY_EVER, MOSTLY, NEGLIGIBLE
 from bench.model import STAND_ANGLES, AppliedEffect, ForwardModel
@@ -184,14 +185,13 @@ def _simulate(
     slow: Floats | None,
     by_ties: Floats | None,
 ) -> Simulation:
-    rows = usable_rows(readings, model)
     posed, fit = _fitted(readings, model, stand_u, join_verification=False)
     joined, untold = False, _hardly_told(posed.problem, fit)
     if untold.any() and len(readings.verification()):
         with_points = _fitted(readings, model, stand_u, join_verification=True)
         joined = bool(np.any(untold & ~_hardly_told(with_points[0].problem, with_points[1])))
         posed, fit = with_points if joined else (posed, fit)
-    problem = posed.problem
+    problem, rows = posed.problem, posed.rows
     effects = tuple(
         replace(applied, u=_u_of(index, problem, fit))
         for index, applied in enumerate(problem.effects_at(fit.others))
@@ -201,7 +201,7 @@ def _simulate(
     still = bench.readings(fit.block, problem.conditions, stand)
     noisy = replace(rows, signal=_noisy(bench, problem, fit, stand))
     weak = replace(model, effects=tuple(replace(a, u={}) for a in effects))
-    calibration = calibrate(readings, model, stand_u, g_m_s2, join_verification=joined, posed=posed)
+    calibration = solve(posed, g_m_s2)
     more = np.zeros((FIXED, FIXED)) if by_ties is None else by_ties.T @ by_ties
     if slow is not None and calibration.drift is None:
         moved = np.einsum("pnc,nck->pk", calibration.gain, slow)
@@ -229,9 +229,10 @@ def _fitted(
     """Fit the problem of `calibrate`, and keep all estimates with their joint covariance."""
     posed = pose(readings, model, stand_u, join_verification=join_verification)
     signal, resolution = posed.rows.signal, posed.rows.resolution
-    start = first_guess(posed.problem, signal, resolution)
-    # one noise size for all channels, as in the null model and the thresholds of a diagnosis
-    return posed, gls.fit(posed.problem, signal, start, None, resolution, one_size=True)
+    with naming_deviating(posed.problem, posed.rows):
+        start = first_guess(posed.problem, signal, resolution)
+        # one noise size for all channels, as in the null model and the thresholds of a diagnosis
+        return posed, gls.fit(posed.problem, signal, start, None, resolution, one_size=True)
 
 
 def _hardly_told(problem: Problem, fit: gls.Fit) -> Mask:

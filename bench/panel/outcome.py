@@ -58,7 +58,7 @@ class Outcome:
     """The outcome of a run that has ended, as the live page shows it.
 
     `state` is "waiting" while the results are computed, "none" if there are none, else "ready". `misfit` says why a
-    diagnosis is offered: lack of fit, a failed verification or a doubtful one; else it is empty.
+    diagnosis is offered: no calibration, lack of fit, a failed verification or a doubtful one; else it is empty.
     """
 
     state: str
@@ -83,14 +83,16 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s
     return Outcome(
         state=state,
         results=found,
-        misfit=_misfit(found) if done else "",
+        misfit=_misfit(found) if state != "waiting" else "",
         change=_change(run, runs) if done else None,
         picture=picture_of(found.verdict) if done and found.verdict else None,
     )
 
 
 def _misfit(found: Results) -> str:
-    """Return why to diagnose a run: readings and model do not fit, the block failed, or doubt; else ""."""
+    """Return why to diagnose a run: no calibration, a misfit, a failed block, or doubt; else ""."""
+    if found.diagnosable:
+        return message("There is no calibration. The diagnosis looks for the cause.")
     fit = found.calibration.fit if found.calibration is not None else ""
     if fit == DOES_NOT_FIT:
         return message("The model does not fit the readings. The diagnosis looks for the missing effect.")

@@ -15,7 +15,7 @@ from bench.base.text import as_typed
 from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
 from bench.panel.folder import read_page
-from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, VERIFY_FILE, Run, statement_in
+from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, RESULTS, VERIFY_FILE, Run, statement_in
 
 REPORT: Final = "report.html"
 DIAGNOSIS: Final = "diagnose.html"
@@ -117,13 +117,19 @@ class DiagnosisTold:
 
 @dataclass(frozen=True)
 class Results:
-    """The available results of a run; `trouble` names files that cannot be read."""
+    """The available results of a run; `trouble` names files that cannot be read.
+
+    `no_calibration` is why a concluded run has no calibration, and `diagnosable` whether a diagnosis may find the
+    cause.
+    """
 
     verdict: VerdictTold | None
     calibration: CalibrationTold | None
     diagnosis: DiagnosisTold | None
     files: tuple[str, ...]
     trouble: tuple[str, ...]
+    no_calibration: str
+    diagnosable: bool
 
 
 def results_of(run: Run) -> Results:
@@ -133,7 +139,12 @@ def results_of(run: Run) -> Results:
     calibration = told_by(run, CALIBRATE_FILE, _calibration, trouble)
     diagnosis = told_by(run, DIAGNOSE_FILE, _diagnosis, trouble)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
-    return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble))
+    why, diagnosable = told_by(run, RESULTS, _no_calibration, []) or ("", False)
+    return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble), why, diagnosable)
+
+
+def _no_calibration(told: Mapping[str, Any]) -> tuple[str, bool]:
+    return str(told.get("no_calibration", "")), bool(told.get("diagnosable"))
 
 
 def told_by(

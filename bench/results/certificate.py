@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from pydantic import Field
 from rich.console import Console
@@ -12,6 +12,7 @@ from bench.base.numbers import fixed, places, rounded, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import visible
+from bench.results.parts import coefficient_unit
 
 
 class IssuedRun(ResultModel):
@@ -86,6 +87,10 @@ class SignerPart(ResultModel):
     signed_at: str = Field(description="time of signing by the signer's clock (ISO 8601)")
 
 
+_PLAIN: Final = {r"\volt": "V", r"\metre\second\tothe{-2}": "m/s²", r"\one": "1"}
+"""Plain units of signals by their D-SI notation, which states K per local g as a quantity per one."""
+
+
 class CertifiedCoefficient(ResultModel):
     """A coefficient on a certificate."""
 
@@ -93,6 +98,11 @@ class CertifiedCoefficient(ResultModel):
     U: float
     k: float
     unit: str = Field(description="unit in the notation of D-SI")
+
+    def plain_unit(self, name: str) -> str:
+        """Return the unit of the coefficient `name` as people write it, "V/g" for `\\volt` of Kxx."""
+        plain = _PLAIN.get(self.unit)
+        return self.unit if plain is None else coefficient_unit(name, plain)
 
 
 class CertificateSays(ResultModel):
@@ -128,7 +138,7 @@ class CertificateSays(ResultModel):
         shown = table("coefficient", ">value", ">U", ">k", "")
         for name, one in self.coefficients.items():
             value, U = rounded(one.value, one.U), uncertainty(one.U)
-            shown.add_row(visible(name), value, U, f"{one.k:.3g}", visible(one.unit))
+            shown.add_row(visible(name), value, U, f"{one.k:.3g}", visible(one.plain_unit(name)))
         out.print(shown)
 
 
@@ -227,6 +237,6 @@ def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         digits = places(one["u"])
-        unit = result["unit"] + ("" if name.startswith("U0") else "/g")
+        unit = coefficient_unit(name, result["unit"])
         shown.add_row(name, fixed(one["value"], digits), fixed(one["u"], digits), unit)
     out.print(shown)

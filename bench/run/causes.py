@@ -231,13 +231,14 @@ class ReplayedReadings:
 
     `state` holds each member's Kalman filter after the last reading. `cost` (m,) is each member's cost (-2 ln
     likelihood) of all readings; `before` is the cost of member 0 without the last reading. `taken` (n, m) says
-    which readings updated each member's filter.
+    which readings updated each member's filter; `unexplained_v2` (m,) sums the squared residuals, V^2, of the rest.
     """
 
     state: Expectation
     cost: Floats
     before: float
     taken: Mask
+    unexplained_v2: Floats
 
 
 TIE: Final = 6.0
@@ -311,9 +312,8 @@ class Inquiry:
             for at, sat in self._others(sighting, few=True).items()
         ]
         supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
-        labels = [one.label for one in supposed]
         angles = angle + np.array([one.off_rad for one in supposed])
-        pose = poses(self.model, self.nominal, sighting.row, labels, angles)
+        pose = poses(self.model, self.nominal, sighting.row, [one.label for one in supposed], angles)
         judged = state.judge(sighting.signal_v, pose, self.noise)
         return self._fitting([one.supposed for one in supposed], judged, before)
 
@@ -369,8 +369,9 @@ class Inquiry:
     def of_run(self, history: Sequence[Sighting]) -> tuple[list[Suspect], ReplayedReadings]:
         """Return the mistakes that began with the run or the mounting, or that affect one earlier reading.
 
-        The last sighting of `history` is the reading to be explained; only mistakes that explain it are returned.
-        The second value is the replay of all readings, in which member 0 supposes no mistake.
+        The last sighting of `history` is the reading to be explained; only mistakes that explain it are returned. A
+        mistake of the run or the mounting must leave smaller misfits than no mistake does. The second value is the
+        replay of all readings, in which member 0 supposes no mistake.
         """
         mounted = max(i for i, s in enumerate(history) if s.new_mount)
         others = self._others(history[-1], few=len(history) - mounted <= FEW)
@@ -386,6 +387,7 @@ class Inquiry:
             *(member for k in candidates(history) for member in self._wrong_before(history[k], k)),
         ]
         replay = self.replay(history, members)
+        better = replay.unexplained_v2 < replay.unexplained_v2[0]
         return [
             Suspect(
                 member.supposed.text,
@@ -395,7 +397,7 @@ class Inquiry:
                 free=member.shift != AS_IT_IS,
             )
             for j, member in enumerate(members)
-            if j and replay.taken[-1, j]
+            if j and replay.taken[-1, j] and (better[j] or member.reading is not None)
         ], replay
 
     def _wrong_before(self, sighting: Sighting, k: int) -> list[Member]:
@@ -430,18 +432,16 @@ class Inquiry:
         """
         state = self.prior.repeated(len(members))
         cabling = np.stack([member.cabling for member in members])
-        cost, before = np.zeros(len(members)), 0.0
+        cost, before, unexplained_v2 = np.zeros(len(members)), 0.0, np.zeros(len(members))
         taken = np.zeros((len(history), len(members)), dtype=bool)
         for i, sighting in enumerate(history):
             if sighting.new_mount:
                 state.remount(self.stand_u)
             state.loosen(sighting.loosened)
             pose = np.array([member.pose_at(i) for member in members])
-            at = (
-                ExpectedPose(*(each[pose] for each in self._all_poses(sighting)))
-                if pose.any()
-                else sighting.pose
-            )
+            at = sighting.pose
+            if pose.any():
+                at = ExpectedPose(*(each[pose] for each in self._all_poses(sighting)))
             shift = np.array([member.shift_at(i) for member in members])
             further = None
             if (shift < SHIFTS).any():
@@ -452,8 +452,9 @@ class Inquiry:
             before = float(cost[0])
             if not sighting.struck:
                 cost += np.where(present, judged.cost(self.most), self.most + judged.log_det)
+                unexplained_v2 += (judged.residual**2).sum(axis=1) * (present & ~taken[i])
             state.take(judged, taken[i])
-        return ReplayedReadings(state, cost, before, taken)
+        return ReplayedReadings(state, cost, before, taken, unexplained_v2)
 
     def _all_poses(self, sighting: Sighting) -> ExpectedPose:
         if sighting.poses is None:

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from bench.base.languages import message
 from bench.base.text import listed
 from bench.run.events import EventType
-from bench.run.person import MOST_ATTEMPTS, NO, RunControl, Stopped, agree, ask
+from bench.run.person import NO, RunControl, Stopped, agree, ask
 from bench.run.power import UnitPower
 from drivers import interfaces
 from drivers.interfaces import (
@@ -25,7 +25,7 @@ from drivers.interfaces import (
     Voltmeter,
 )
 from drivers.making_safe import Attempts, let_go
-from drivers.person import Person, Prompt, PromptKind
+from drivers.person import ATTEMPTS, Person, Prompt, PromptKind
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class TemperatureCheck:
     def __call__(self, read: Callable[[str], float], key: str) -> float:
         """Return the temperature that the person enters through `read`; ask again if the person takes it back."""
         shown_c = read(key)
-        for again in range(1, MOST_ATTEMPTS):
+        for again in range(1, ATTEMPTS):
             question = self._question(shown_c)
             prompt = Prompt(
                 id=f"{key}/right{again}",

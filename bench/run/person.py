@@ -27,7 +27,7 @@ from drivers.angles import (
     typed_temperature,
 )
 from drivers.interfaces import BenchError
-from drivers.person import Person, Prompt, PromptKind
+from drivers.person import ATTEMPTS, Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
 ANSWERS: Final = "answers.jsonl"
@@ -480,19 +480,14 @@ def _spaced(angle_rad: float) -> str:
     return format_dms(angle_rad, 1).replace("°", "° ").replace("′", "′ ")
 
 
-MOST_ATTEMPTS: Final = 20
-MOST_WAITS: Final = 1000
-"""Greatest number of "no" answers to a task; somebody who gives more is not reading the question."""
-
-
 def ask(person: Person, prompt: Prompt) -> str:
     """Repeat the prompt until the answer is valid; return the answer, or the default for an empty answer.
 
     "#1", "#2"… is appended to `prompt.id` for each attempt, so that a stale answer, which names an earlier id,
-    is rejected. Raises `NoAnswer` when nobody answers, `BenchError` after `MOST_ATTEMPTS` invalid answers.
+    is rejected. Raises `NoAnswer` when nobody answers, `BenchError` after `ATTEMPTS` invalid answers.
     """
     text = prompt.text
-    for attempt in range(1, MOST_ATTEMPTS + 1):
+    for attempt in range(1, ATTEMPTS + 1):
         put = replace(prompt, id=f"{prompt.id}#{attempt}", text=text)
         answer = person.ask(put)
         given = answer.text.strip() or (prompt.default or "")
@@ -511,7 +506,7 @@ def ask(person: Person, prompt: Prompt) -> str:
 def confirm(person: Person, prompt: Prompt) -> None:
     """Ask the person to do a task; repeat the prompt after each "no". Raises the errors of `ask`."""
     put = prompt
-    for wait in range(1, MOST_WAITS + 1):
+    for wait in range(1, ATTEMPTS + 1):
         if ask(person, put).lower() not in NO:
             return
         text = message(f"There is no hurry: answer yes when it is done. {prompt.text}")

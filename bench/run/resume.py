@@ -11,9 +11,9 @@ from typing import Any, Final
 from bench.base.languages import message
 from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
 from bench.run.events import Event, EventType, Wish
-from bench.run.person import MOST_ATTEMPTS, OpenPrompt, OperatorWish, RunControl, problem_with_answer
+from bench.run.person import OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
-from drivers.person import Person, Prompt, PromptKind
+from drivers.person import ATTEMPTS, Person, Prompt, PromptKind
 
 
 @dataclass
@@ -278,12 +278,12 @@ def how_to_go_on(person: Person, doubt: Event, *, again: bool = False) -> str:
     """Ask how to continue after the early sign `doubt` of a misfit; return the reason for going on despite it.
 
     Raises `OperatorWish` if the person chooses to repeat something, `NoAnswer` with the sign's sentence if nobody
-    answers, and `BenchError` after `MOST_ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.
+    answers, and `BenchError` after `ATTEMPTS` invalid answers. `again` is explained at `halt_prompt`.
     """
     prompt = halt_prompt(doubt, again=again)
     answers = ", ".join(prompt.choices)
     trouble = ""
-    for attempt in range(1, MOST_ATTEMPTS + 1):
+    for attempt in range(1, ATTEMPTS + 1):
         put = replace(prompt, id=f"{prompt.id}#{attempt}", text=f"{trouble}{prompt.text}")
         try:
             answer = person.ask(put)

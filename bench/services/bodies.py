@@ -233,7 +233,8 @@ def _signs(source: Source) -> list[_Named]:
     return [_Named(row, sign) for row, sign in sorted(found.items())]
 
 
-_MAY_BE_EFFECTS: Final = frozenset({Kind.MOVED, Kind.TILTED, Kind.CHANNEL, Kind.EARLIER})
+_MAY_BE_EFFECTS: Final = frozenset({Kind.SLIP, Kind.MOVED, Kind.TILTED, Kind.CHANNEL, Kind.EARLIER})
+"""Kinds that resemble a large effect of the block, so that all readings together have to show them."""
 
 
 class _Copy:

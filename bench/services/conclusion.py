@@ -68,6 +68,11 @@ class Conclusion:
     chart_unwritten: str = ""
 
     @property
+    def diagnosable(self) -> bool:
+        """Whether a diagnosis may find why there is no calibration: wrong readings or early warnings."""
+        return bool(self.no_calibration and (self.findable or (self.looks and not self.spoiled)))
+
+    @property
     def accepted(self) -> bool:
         """Whether the run reached its goal unspoiled, and fit, verdict and chart (if present) are accepted."""
         judged = (
@@ -110,9 +115,13 @@ def conclude(run: Run) -> Conclusion:
     again = message(f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results")
     with refusing(message(f"the run is finished and kept; {again}")):
         found = {**_evaluated(source), **charted(run)}
+        concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
         made = [name for name in _MADE if (run.folder / name).is_file()]
-        write_whole(run.folder / RESULTS, to_text({"made": made}))
-    return Conclusion(run, source, _looks(run), _is_short(run), **found)
+        why = {"no_calibration": concluded.no_calibration, "diagnosable": concluded.diagnosable}
+        write_whole(
+            run.folder / RESULTS, to_text({"made": made, **(why if concluded.no_calibration else {})})
+        )
+    return concluded
 
 
 def _looks(run: Run) -> tuple[str, ...]:
@@ -259,8 +268,7 @@ def _next(found: Conclusion) -> Iterator[str]:
     again = _run_again(run)
     verification = found.verification
     if found.calibration is None:
-        diagnosed = found.findable or (found.looks and not found.spoiled)
-        yield message(f"next: bench {'diagnose' if diagnosed else 'show'} {name}")
+        yield message(f"next: bench {'diagnose' if found.diagnosable else 'show'} {name}")
     elif (
         not found.calibration.accepted
         or found.calibration.doubts

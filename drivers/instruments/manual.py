@@ -67,12 +67,10 @@ class ManualHead(ByHand):
         *,
         tolerance_rad: float,
         enter_accepts_target: bool = True,
-        max_attempts: int = 5,
     ) -> None:
         super().__init__(name, person)
         self._tolerance_rad = tolerance_rad
         self._enter_accepts_target = enter_accepts_target
-        self._max_attempts = max_attempts
 
     def move(self, target_rad: float, direction: Direction, key: str) -> HeadPosition:
         """Ask the person to turn to `target_rad` in the stated direction; return the angle read.
@@ -108,11 +106,11 @@ class ManualHead(ByHand):
                 raise ValueError(f"{error}.") from None
 
         try:
-            return ask_until(self._person, question, read, self._max_attempts)
+            return ask_until(self._person, question, read)
         except ValueError as trouble:
             raise BadReading(
                 self.name,
-                f"no angle in {self._max_attempts} attempts ({trouble})",
+                f"no angle in {ATTEMPTS} attempts ({trouble})",
                 "read its scale again",
             ) from None
 
@@ -145,14 +143,13 @@ class ManualHead(ByHand):
                 self._person,
                 question,
                 lambda typed: read_angle(typed, target_rad, self._tolerance_rad),
-                self._max_attempts,
                 again,
             )
         except ValueError as trouble:
             raise LimitExceeded(
                 self.name,
                 f"no reading within {format_dms(self._tolerance_rad)} of {scale_text(target_rad)} "
-                f"in {self._max_attempts} attempts ({trouble})",
+                f"in {ATTEMPTS} attempts ({trouble})",
                 "check the clamp, the scale and the procedure's angle, then redo this point",
             ) from None
         return HeadPosition(angle_rad, direction)
@@ -280,9 +277,6 @@ def ask_temperature(
 
 
 _YES: Final = frozenset({"y", "yes", "ok", "done"})
-_NO: Final = frozenset({"n", "no"})
-_MAX_WAITS: Final = 1000
-"""Limit of prompts to confirm a set point; "no" repeats the prompt. So many mean that nobody reads it."""
 _PLAUSIBLE_K: Final = 20.0
 """A reading may lie this far outside the chamber's range, K, because the chamber may not be on yet."""
 
@@ -314,7 +308,7 @@ class ManualChamber(ByHand):
         return message(f"set the chamber to {self._safe_c:g} °C by hand")
 
     def set_temperature(self, target_c: float, key: str) -> None:
-        """Ask the person to set `target_c` and to confirm; the answer "no" repeats the question.
+        """Ask the person to set `target_c` and to confirm; any answer but "yes" repeats the question.
 
         Raises `LimitExceeded` before anybody is asked, `InstrumentRefused` if the person never confirms,
         `NoAnswer` if nobody can answer.
@@ -326,8 +320,7 @@ class ManualChamber(ByHand):
                 "change the temperature in the procedure or the limits in the bench file",
             )
         self._set = True
-        left = ATTEMPTS
-        for attempt in range(1, _MAX_WAITS + 1):
+        for attempt in range(1, ATTEMPTS + 1):
             text = self._ask(
                 Prompt(
                     id=f"{key}#{attempt}",
@@ -339,9 +332,6 @@ class ManualChamber(ByHand):
             )
             if text is not None and text.lower() in _YES:
                 return
-            left -= text is None or text.lower() not in _NO
-            if not left:
-                break
         raise InstrumentRefused(
             self.name,
             f"nobody confirmed that the chamber is set to {target_c:g} °C",

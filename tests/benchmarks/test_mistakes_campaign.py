@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 
 from bench.cli.app import main
+from bench.config.shipped import find_bench
 from bench.run.folder import Run
 from bench.services.execution import carry_out, new_run
 from bench.services.requests.measuring import RunRequest
@@ -92,6 +93,20 @@ def test_a_run_in_a_wrong_installation_is_put_right_by_diagnose_and_not_refused(
     assert "the block sat in installation 1, not in 2" in result["effects"][0]["words"]
     assert "do not determine" in result["notes"][0]
     assert diagnosed(capsys, tmp_path, "--strict")[0] == 1
+
+
+@pytest.mark.slow
+def test_a_large_effect_of_a_recorded_run_is_named_and_taken_for_no_mistake(tmp_path, capsys):
+    bench_file = tmp_path / "bench.yaml"
+    large = '  effects:\n    - {name: scale_asymmetry, parameters: {Kabs: "1 mg/g"}}\n'
+    bench_file.write_text(find_bench("paper-stand").read_text(encoding="utf-8") + large, encoding="utf-8")
+    new = new_run(RunRequest("paper", str(bench_file), runs=tmp_path, dry_run=True, seed=5, name="run"))
+    with Path("/dev/null").open("w") as nowhere:
+        carry_out(Run(new.folder), new.record(), Console(file=nowhere))
+    assert Run(new.folder).history.progress.signs > 10
+    result = diagnosed(capsys, tmp_path)[1]
+    assert result["verdict"] == "named"
+    assert [effect["name"] for effect in result["effects"]] == ["scale_asymmetry"]
 
 
 @pytest.mark.slow

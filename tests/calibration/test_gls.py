@@ -416,3 +416,35 @@ def test_derivatives_with_effects_at_each_stage_are_those_of_the_whole_chain():
         column = (up - down) / (2 * size)
         tolerance = 1e-6 * max(float(np.max(np.abs(column))), 1.0)
         np.testing.assert_allclose(found.jacobian[:, :, j], column, rtol=0, atol=tolerance)
+
+
+def test_angles_of_a_platform_levelled_once_are_stated_for_the_mountings():
+    """Two runs in one table, with the same α1 and α2 in both: stated √2 times as large, they give the right u.
+
+    Stated as large as they are, they give the cross-axis terms a u that is a tenth too small.
+    """
+    installation, pass_number, point, phi = design()
+    n, again = len(phi), np.tile(phi, 2)
+    labels, run = np.array(installation * 2), np.repeat([1, 2], n)
+    signal = np.tile(simulate(None, 0.0).signal, (2, 1))
+    readings = make_readings(labels.tolist(), pass_number * 2, point * 2, again, signal, series=run)
+    given = Noise(1e-4, SETTING_U_RAD, np.inf, "given")
+    largest = []
+    for times in (1.0, np.sqrt(2.0)):
+        stated = STAND_U | {name: times * STAND_U[name] for name in NAMES[:2]}
+        found = calibrate(readings, MODEL, stated, 9.81, noise=given)
+        once = found.covariance.copy()
+        for column, name in enumerate(NAMES[:2]):
+            for label in "12":
+                angles = np.zeros((2, 2 * n))
+                angles[column] = STAND_U[name] * (labels == label)
+                change = (
+                    specific_force(labels.tolist(), again, *angles) - specific_force(labels.tolist(), again)
+                ) @ K.T
+                by_run = np.stack(
+                    [np.einsum("pni,ni->p", found.gain, change * (run == r)[:, None]) for r in (1, 2)]
+                )
+                once += np.outer(by_run.sum(axis=0), by_run.sum(axis=0)) - times**2 * by_run.T @ by_run
+        largest.append(np.max(np.sqrt(np.diag(once)) / found.u))
+    assert largest[0] > 1.1
+    assert largest[1] < 1.02

@@ -409,3 +409,12 @@ def test_rows_that_spoil_a_fit_are_named(spoil, what):
     row = f"installation 1, pass {readings.pass_number[5]}, point {readings.point[5]}"
     why = f"{what}.*; these readings are far off: {row}.*; find the mistake with 'bench diagnose'$"
     assert isinstance(refused(readings, why), SpoiledFit)
+
+
+def test_rows_that_are_whole_passes_are_named_as_passes():
+    readings = simulate(np.random.default_rng(8), 1e-4)
+    wrong = (readings.installation == "2") & (readings.pass_number == 3)
+    signal = np.where(wrong[:, None], 1000.0 * readings.signal, readings.signal)
+    signal[5] *= 1000.0
+    row = f"installation 1, pass {readings.pass_number[5]}, point {readings.point[5]}"
+    refused(replace(readings, signal=signal), f"far off: all of installation 2, pass 3 and {row}; find")

@@ -1,15 +1,18 @@
 """What is told of a certificate: intact or not, by whom, what register and record say, what is not proved."""
 
+import io
 import json
+import re
 import shutil
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
 from cryptography.hazmat.primitives.serialization import Encoding
+from rich.console import Console
 
 from bench.certificate.dcc.document import document_of
-from bench.certificate.dcc.reading import shown_of
+from bench.certificate.dcc.reading import coefficients_in, shown_of
 from bench.certificate.page import body_of
 from bench.certificate.register import ISSUED, REVOKED, Entry, opened
 from bench.certificate.signatures import sign_pdf, sign_xml
@@ -97,6 +100,11 @@ def test_what_is_shown_is_what_was_signed(made, written):
         one.value for one in found.coefficients.values
     ]
     assert shown_of(made.xml).covariance.tolist() == found.coefficients.covariance.tolist()
+    assert {one["unit"] for one in result.to_dict()["signed"]["coefficients"].values()} == {r"\volt"}
+    printed = io.StringIO()
+    result.print_on(Console(file=printed, width=200))
+    units = [line.split()[-1] for line in printed.getvalue().splitlines() if re.match("K[xyz]{2} |U0", line)]
+    assert units == ["V/g"] * 9 + ["V"] * 3
     json.dumps(result.to_dict())
 
 
@@ -327,6 +335,25 @@ def test_what_is_said_of_a_certificate_by_signature_and_register(
     open_to_doubt = any("register" in text for text in verdict.not_proved)
     not_named = happened is nowhere or (not signed and happened in {beside, amended})
     assert open_to_doubt == not_named
+
+
+@pytest.mark.parametrize(
+    ("happened", "words"),
+    [
+        (intact, None),
+        (nowhere, None),
+        (revoked, f"has {NUMBER} as revoked (wrong unit): do not use it"),
+        (amended, f"has {NUMBER} as amended by SIM-2026-0002: use that certificate"),
+    ],
+)
+def test_a_certificate_that_is_read_is_told_as_invalid_by_the_register_beside_it(
+    forms, tmp_path, happened, words
+):
+    file, _ = happened(tmp_path, forms[True])
+    for form in ("pdf", "xml"):
+        _, (signature, *told) = coefficients_in(file.with_suffix(f".{form}"))
+        assert "intact" in signature
+        assert told == ([] if words is None else [f"the register in {file.parent} {words}"])
 
 
 def test_nothing_is_said_of_a_signer_who_is_not_there(forms, tmp_path):

@@ -1,5 +1,6 @@
 """The end of a run in the terminal: the verdict first, then where the rest is and what to do next."""
 
+import json
 import shlex
 import shutil
 from dataclasses import replace
@@ -100,6 +101,9 @@ def test_where_wrong_readings_spoil_the_calibration_the_run_is_not_accepted(
 
     monkeypatch.setattr("bench.services.conclusion.calibration_of", spoiled)
     found = conclude(concluded.run)
+    kept = json.loads((concluded.run.folder / "results.json").read_text("utf-8"))
+    assert kept["no_calibration"] == "; ".join(words)
+    assert kept["diagnosable"] == (step == "diagnose")
     assert not found.accepted
     lines = ending(replace(found, looks=("sign",)))
     assert lines[0].endswith(f"no calibration from it: {'; '.join(words)}")

@@ -50,7 +50,7 @@ def dense_evidence(one, columns, known=()):
     null, variant = [], []
     for prior, ratio in zip(grid.log_prior, grid.setting_rad_per_noise, strict=True):
         null.append(prior + dense_log_likelihood(one, base, ratio))
-        for size, weight in zip(SIZES, (0.6, 0.28, 0.12), strict=True):
+        for size, weight in zip(SIZES, (0.6, 0.28, 0.1, 0.02), strict=True):
             extra = [*base, size * scaled[:, list(columns)]]
             variant.append(prior + np.log(weight) + dense_log_likelihood(one, extra, ratio))
     return logsumexp(variant) - logsumexp(null)

@@ -21,9 +21,10 @@ from bench.diagnosis.linear import make_linear
 from bench.diagnosis.naming import ALIAS, Scored, in_place, named_again, needed
 from bench.diagnosis.noise_kinds import BENCH_FILE, OWN_SCATTER, NoiseFinding, noise_findings
 from bench.diagnosis.posterior import NoiseSize
+from bench.diagnosis.result import UNNAMED_FORM
 from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.table import FREE, SHORTED
-from bench.validation.paper_bench import STAND_U, K
+from bench.validation.paper_bench import STAND_U, U0, K
 from tests.support.diagnosis_bench import MODEL, NOISE_V, STAND, OneThreshold, paper_run, set_up
 
 NULLS = 400
@@ -84,6 +85,29 @@ def test_equal_quadratic_terms_are_never_named_alone():
     assert found.verdict == "confounded"
     names = {found.effects[0].name, *found.effects[0].cannot_tell_from}
     assert {"quadratic_nonlinearity", "voltmeter_nonlinearity"} <= names
+
+
+@pytest.mark.slow
+def test_of_aliases_of_any_size_the_true_one_is_in_the_set():
+    """With settings every 45° and no other ones, odd functions of one component differ by a factor only."""
+    readings = paper_run(np.random.default_rng(24), verification=False)
+    force = (readings.signal - U0) @ np.linalg.inv(K).T
+    added = 1.3e-3 * force * np.abs(force) * np.diag(K)
+    effect = examine(replace(readings, signal=readings.signal + added)).effects[0]
+    odds = {one.name: one.probability for one in effect.odds}
+    assert effect.rho > 100
+    assert odds.keys() >= {"odd_quadratic_nonlinearity", "cubic_nonlinearity", "bias_asymmetry"}
+    assert odds["odd_quadratic_nonlinearity"] > 0.1
+
+
+@pytest.mark.slow
+def test_the_same_size_in_all_accelerometers_is_no_evidence_for_a_form():
+    readings = paper_run(np.random.default_rng(24), noise_v=1e-4)
+    force = (readings.signal - U0) @ np.linalg.inv(K).T
+    effect = examine(replace(readings, signal=readings.signal + 1.3e-3 * force**3 * np.diag(K))).effects[0]
+    assert effect.rho > 40
+    assert effect.name == "cubic_nonlinearity"
+    assert sum(one.probability for one in effect.odds if one.name == UNNAMED_FORM) < 0.1
 
 
 def test_a_find_that_is_not_needed_beside_the_others_goes():

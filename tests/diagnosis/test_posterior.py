@@ -23,7 +23,7 @@ from bench.validation.paper_bench import TRUTH
 from tests.support.diagnosis_bench import NOISE_V, STAND, paper_run, set_up
 
 NOISE = NoiseSize(NOISE_V, STAND["setting_error"], 120)
-SIZES, WEIGHTS = (1.0, 4.0, 20.0), (0.6, 0.28, 0.12)
+SIZES, WEIGHTS = (1.0, 4.0, 20.0, 80.0), (0.6, 0.28, 0.1, 0.02)
 """The prior of an effect's size, in plausible sizes: what docs and code of the search say."""
 
 

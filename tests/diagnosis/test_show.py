@@ -7,11 +7,12 @@ import pytest
 
 from bench.base.files import cache_folder
 from bench.calibration import calibrate
+from bench.calibration.result import DeviatingReadings
 from bench.calibration.verification import verify
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis import ThresholdCache, diagnose
-from bench.diagnosis.pipeline import diagnose_fully, rivals
+from bench.diagnosis.pipeline import UNEXPLAINED, diagnose_fully, rivals
 from bench.diagnosis.show import label, show
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.validation.paper_bench import STAND_U
@@ -131,6 +132,21 @@ def test_verification_points_that_tell_no_more_of_an_effect_remain_a_check():
     marks = AppliedEffect(CATALOGUE["head_graduation"], {})
     # no reading tells of the marks between its angles, and a modulus depends on no angle of the head
     assert not show(readings, MODEL, (marks,), STAND, G).after.joined
+
+
+def test_a_pass_that_no_mistake_or_effect_explains_is_named_with_what_to_do(monkeypatch):
+    """The head stood 120° off in one pass, no number of stops; the diagnosis does not recommend itself."""
+    readings = paper_run(np.random.default_rng(9))
+    wrong = (readings.installation == "1") & (readings.pass_number == 2)
+    bad = replace(readings, angle_rad=readings.angle_rad + np.where(wrong, np.radians(120.0), 0.0))
+    with pytest.raises(DeviatingReadings) as spoiled:
+        show(bad, MODEL, (), STAND, G)
+    assert spoiled.value.args[0].endswith("these readings are far off: all of installation 1, pass 2")
+    monkeypatch.setattr("bench.diagnosis.pipeline.show", lambda *_, **__: show(bad, MODEL, (), STAND, G))
+    bench, cache = load_bench(find_bench("paper-stand")), ThresholdCache(cache_folder("thresholds"))
+    with pytest.raises(DeviatingReadings) as told:
+        diagnose_fully(readings, MODEL, bench, G, cache, source="", simulated=True)
+    assert told.value.args == (spoiled.value.args[0], UNEXPLAINED)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from drivers.interfaces import BadReading, HeadPosition, Identity, InstrumentRefused, LimitExceeded
-from drivers.person import Answer, PromptKind
+from drivers.person import ATTEMPTS, Answer, PromptKind
 from drivers.readout import MOST_ATTEMPTS, Approach, ReadOutHead, ScaleOfEncoder, Track
 from tests.support.scripted_session import Clock, ScriptedSession
 
@@ -225,10 +225,10 @@ def test_a_connection_made_anew_on_the_way_makes_an_angle_of_none():
 
 
 def test_where_nobody_confirms_the_reference_mark_nothing_is_read():
-    head, person = turned(FREE, *[([0.0], "no")] * 5, tells_reference=False)
+    head, person = turned(FREE, *[([0.0], "no")] * ATTEMPTS, tells_reference=False)
     with pytest.raises(InstrumentRefused, match="nobody confirmed that its reference mark was crossed"):
         head.move(45 * DEG, 1, "1/turn")
-    assert len(person.prompts) == 5
+    assert len(person.prompts) == ATTEMPTS
 
 
 @pytest.mark.parametrize(

@@ -88,6 +88,18 @@ def test_a_run_that_failed_or_misfits_offers_the_diagnosis(runs, judged, file, t
     assert '<button class="primary">Diagnose</button>' in page
 
 
+@pytest.mark.parametrize("diagnosable", [True, False])
+def test_a_run_without_calibration_says_why_and_offers_the_diagnosis_if_it_may_help(
+    runs, judged, anna, diagnosable
+):
+    for name in ("calibrate.json", "verify.json"):
+        (judged / name).unlink()
+    change(judged / RESULTS, made=[], no_calibration="the fit did not converge", diagnosable=diagnosable)
+    for page in (anna.get("/runs/run/").text, anna.get("/runs/run/verdict").text):
+        assert "the fit did not converge" in page
+        assert ('action="/runs/run/diagnose"' in page) == diagnosable
+
+
 def test_a_conditional_pass_offers_no_diagnosis(judged):
     change(judged / "verify.json", passed=False, statement="conditional pass")
     assert outcome(judged).misfit == ""

@@ -124,6 +124,20 @@ def test_what_check_finds_stands_on_the_page(anna, started):
     assert "Start on the bench" in page
 
 
+@pytest.mark.parametrize(("stage", "what"), [("checking", "check"), ("trying", "dry run")])
+def test_a_check_or_dry_run_whose_process_is_gone_is_told_and_the_choice_kept(
+    anna, started, monkeypatch, stage, what
+):
+    wish = begun(anna, unit="17-042")
+    if stage == "trying":
+        wish.tell(trying.checked(wish.wanted(), wish.path))
+    monkeypatch.setattr("bench.panel.pages.start._just_begun", lambda _: False)
+    page = anna.get(f"/start/{wish.id}").text
+    again = re.search(rf'The {what} was stopped. <a href="([^"]*)">Start again</a>', page)
+    assert "unit=17-042" in again[1]
+    assert "Start on the bench" not in page
+
+
 def test_files_with_mistakes_are_told_with_all_of_them(anna, started):
     Path("bad.yaml").write_text("name: bad\ninstruments: {}\n")
     wish = begun(anna, bench="bad.yaml")

@@ -16,6 +16,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import Reading
+from bench.run.causes import LASTING
 from bench.run.early_warning import EarlyWarning, watcher_of
 from bench.run.events import Event
 from bench.run.resume import halt_prompt
@@ -360,6 +361,28 @@ def test_effects_of_the_model_are_expected():
         rows[k] = replace(row, mean=tuple((np.array(row.mean) + np.diag(K) * K2 * force**2).tolist()))
     assert not watch(rows, EarlyWarning(NOMINAL, bent, BENCH_U))
     assert watch(rows)
+
+
+LARGE_EFFECTS = {
+    "K2 of 0.4 mg/g²": lambda a: 0.4e-3 * a**2,
+    "K2 of 1.8 mg/g²": lambda a: 1.8e-3 * a**2,
+    "K3 of 1.3 mg/g³": lambda a: 1.3e-3 * a**3,
+    "Kabs of 1 mg/g": lambda a: 1e-3 * np.abs(a),
+    "hysteresis of 1.6 mg": lambda a: 1.6e-3 * np.sign(np.diff(a, axis=0, prepend=a[:1])),
+}
+
+
+@pytest.mark.parametrize("added_g", LARGE_EFFECTS.values(), ids=LARGE_EFFECTS)
+def test_a_large_effect_of_the_block_is_no_wrong_wiring_or_mounting(added_g):
+    """Wrong wires shift readings by volts, such an effect by millivolts."""
+
+    def wired(signal):
+        force = (signal - U0) @ np.linalg.inv(K).T
+        return signal + added_g(force) * np.diag(K)
+
+    signs = [sign for seed in range(3) for _, sign in watch(run_of(seed, wired=wired))]
+    assert signs
+    assert not [sign.sentence for sign in signs if LASTING & set(sign.kinds)]
 
 
 def test_rows_without_orientation_are_passed_over_and_what_is_unknown_is_no_obstacle():

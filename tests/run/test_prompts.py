@@ -23,7 +23,7 @@ from bench.run.person import (
 )
 from bench.run.terminal import TerminalPerson, heard_at, typing_help
 from drivers.interfaces import BenchError, Identity, NoAnswer
-from drivers.person import Answer, Prompt, PromptKind
+from drivers.person import ATTEMPTS, Answer, Prompt, PromptKind
 
 
 class Script:
@@ -65,7 +65,7 @@ def test_empty_means_the_default():
 
 def test_it_ends_after_many_answers_that_do_not_fit():
     with pytest.raises(BenchError, match="no valid answer"):
-        ask(Script(*["x"] * 30), NUMBER)
+        ask(Script(*["x"] * ATTEMPTS), NUMBER)
 
 
 def test_no_waits_until_a_task_is_done():
@@ -85,7 +85,7 @@ def test_a_mounting_is_confirmed_in_words_and_speaks_of_a_chamber_only_where_the
     prompt = mount_prompt(Mount("m", "1", 1), chamber=chamber)
     assert ("chamber" in prompt.text) is chamber
     with pytest.raises(BenchError, match="no valid answer"):
-        confirm(Script(*[""] * 30), prompt)
+        confirm(Script(*[""] * ATTEMPTS), prompt)
 
 
 def test_the_answers_in_brackets_are_in_the_language_of_the_question():

@@ -20,6 +20,7 @@ from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
+from bench.certificate.register import ISSUED, LINES, REVOKED, Register
 from bench.certificate.signatures import ORIGINAL, SIGNATURE, NoCertificate, NotIntact, check_xml, parser
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate, VoltmeterCertificate
 from bench.model.geometry import COEFFICIENTS
@@ -120,9 +121,9 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
 
 
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
-    """Return the root of a DCC in XML or PDF, which may be signed, and a note on the signature.
+    """Return the root of a DCC in XML or PDF, which may be signed, and notes on its signature and validity.
 
-    Raises `Refused` if the file cannot be read or is not intact.
+    Raises `Refused` if the file cannot be read or is not intact, or if a register beside it is damaged.
     """
     try:
         with refusing("check name and permissions", path, reading=True):
@@ -137,7 +138,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.tag != ROOT:
         raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
-        return root, ("this document has no signature",)
+        return root, ("this document has no signature", *_why_not_valid(path, root))
     from bench.certificate.signatory import name_of
 
     try:
@@ -147,7 +148,21 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     who = name_of(signed.chain[0])
     command = f"bench certificate verify {as_typed(path)} --trust FILE"
     note = f"signed as {who}, intact; whose key that is, '{command}' tells"
-    return etree.fromstring(signed.content, parser()), (note,)
+    root = etree.fromstring(signed.content, parser())
+    return root, (note, *_why_not_valid(path, root))
+
+
+def _why_not_valid(path: Path, root: Node) -> tuple[str, ...]:
+    """Return a sentence on a certificate that the register in its folder has as revoked or superseded."""
+    place, number = path.absolute().parent, said(root, f"{_CORE}/dcc:uniqueIdentifier")
+    status = Register(place).read_lines().standings.get(number) if (place / LINES).is_file() else None
+    if status is None or status.state == ISSUED:
+        return ()
+    if status.state == REVOKED:
+        remedy = f"revoked ({status.by}): do not use it"
+    else:
+        remedy = f"{status.state} by {status.by}: use that certificate"
+    return (f"the register in {place} has {number} as {remedy}",)
 
 
 def _attached(path: Path, paper: bytes) -> bytes:
@@ -280,8 +295,8 @@ def _others(
     kinds = set(dimensions[:9])
     if kinds not in ({_VOLT}, {_VOLT_PER_MS2}) or set(dimensions[9:]) != {_VOLT}:
         raise Refused(
-            f"{path}: {listed.words}: K or U0 has a unit that no block has; ask the laboratory for K in \\volt "
-            "(per local g) or \\volt\\metre\\tothe{-1}\\second\\tothe{2}, and for U0 in \\volt"
+            f"{path}: {listed.words}: K or U0 has a unit that no block has; ask the laboratory for K in V "
+            "(per local g) or V/(m/s²), and for U0 in V"
         )
     scale = np.ones(12)
     if kinds == {_VOLT_PER_MS2}:

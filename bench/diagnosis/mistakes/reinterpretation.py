@@ -1,8 +1,9 @@
 """Suppositions that the table misstates how the readings were taken.
 
 Each supposition is one mistake in the record: channels are exchanged, reversed or in another unit; the head
-counted the other way; the installation label or the axes of the block are wrong; or readings belong to a
-neighbouring stop (angle) of the head. It applies to the whole run, to one mounting, or to one pass.
+counted the other way, or was several stops off; the installation label or the axes of the block are wrong; or
+readings belong to a neighbouring stop (angle) of the head. It applies to the whole run, to one mounting, or to one
+pass.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import combinations, product
+from typing import Final
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
 from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName
 from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
+
+LEAST_STOP_DEG: Final = 15.0
+"""Least interval of stops, deg, of which several may be miscounted; with narrow ones any angle would do."""
 
 
 @dataclass(frozen=True)
@@ -208,10 +213,10 @@ def suppositions(table: OrientedRows, *, units: bool = False) -> list[Reinterpre
     for make in (_swapped_channels, _reversed_polarity, _reversed_rotation, _other_label, _shifted):
         found += [supposition for scope in scopes for supposition in make(table, scope)]
     found += _swapped_installations(table)
-    if units:
-        passes = np.unique(table.pass_number).tolist() if len(table.mounts) > 1 else []
-        scopes[1:1] = [Scope(table.pass_number == p, (), p) for p in passes if len(passes) > 1]
-        found += [supposition for scope in scopes for supposition in _other_unit(table, scope)]
+    passes = np.unique(table.pass_number).tolist() if len(table.mounts) > 1 else []
+    scopes[1:1] = [Scope(table.pass_number == p, (), p) for p in passes if len(passes) > 1]
+    for make in (_turned_head, *([_other_unit] if units else [])):
+        found += [supposition for scope in scopes for supposition in make(table, scope)]
     return found
 
 
@@ -326,6 +331,32 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
             words = f"the head stood one stop {where} {scope}; the copy has the corrected angles"
             angle = np.where(scope.mask, table.angle_rad + off, table.angle_rad)
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, angle_rad=angle)
+
+
+def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
+    """Yield suppositions that the head stood quarter turns, or several wide stops, from where it says."""
+    stops, offs_deg = _stop_rad(table, scope.mask), {90.0, -90.0, 180.0}
+    stop_deg = 0.0 if stops is None else round(float(np.degrees(np.max(np.abs(stops[scope.mask])))), 3)
+    if stop_deg >= LEAST_STOP_DEG:
+        several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 3).tolist()
+        offs_deg |= {sign * off for off in several for sign in (1.0, -1.0)}
+        offs_deg -= {stop_deg, -stop_deg}  # `_shifted` has these
+    if scope.pass_number is None:
+        offs_deg -= {
+            180.0
+        }  # almost the same as all signals reversed, which a data sheet of other signs explains
+    for off in sorted(offs_deg, key=lambda off: (abs(off), off)):
+        angle = np.where(scope.mask, table.angle_rad + np.radians(off), table.angle_rad)
+        words = head_was_off(off, f" {scope}")
+        yield Reinterpretation(MistakeName.WRONG_SETTING, scope, words, angle_rad=angle)
+
+
+def head_was_off(off_deg: float, where: str = "") -> str:
+    """Return a sentence that the head stood `off_deg` from its recorded angles `where`, and what the copy has."""
+    return (
+        f"the signals stand as if the head had been {off_deg:+.4g}° from where it says{where}: its zero or its "
+        "index was read wrong; the copy has the corrected angles"
+    )
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:

@@ -22,7 +22,7 @@ from bench.calibration.mistakes import PREFIX, PREFIXES, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
-from bench.diagnosis.mistakes.reinterpretation import OrientedRows, Reinterpretation
+from bench.diagnosis.mistakes.reinterpretation import OrientedRows, Reinterpretation, head_was_off
 from bench.diagnosis.mistakes.terms import TermSearch, WrongReadings
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
@@ -254,10 +254,7 @@ def _of_term(terms: TermSearch, wrong: WrongReadings, unit: str) -> Mistake:
 def _pass_words(wrong: WrongReadings) -> str:
     same = f" ({', '.join(wrong.ties)} would look the same)" if wrong.ties else ""
     if wrong.off_rad is not None:
-        return (
-            f"the signals stand as if the head had been {np.degrees(wrong.off_rad):+.4g}° from where it says: its "
-            f"zero or its index was read wrong; the copy has the corrected angles{same}"
-        )
+        return head_was_off(float(np.degrees(wrong.off_rad))) + same
     what = "another block was mounted: K and U0 of all channels are others"
     if wrong.name == MistakeName.STUCK_CHANNEL:
         what = f"channel {wrong.channels[0]} reads the same at all points, as if stuck"

@@ -17,7 +17,7 @@ from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageE
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.table import VERIFICATION
-from bench.validation.paper_bench import ARCSEC
+from bench.validation.paper_bench import ARCSEC, simulate
 from tests.support.results import calibration_json
 from tests.support.whole_truth import CASES, simulate_whole
 
@@ -128,6 +128,18 @@ def _with(**sizes):
 
 def _with_meters(gain, offset):
     return _with(voltmeter_gain=(gain, RatioError), voltmeter_offset=(offset, VoltageError))
+
+
+@pytest.mark.parametrize("seed", [None, 1])
+def test_noise_adds_to_u(seed):
+    """Computed readings, with and without stand errors, have no larger u than readings with 1 µV of noise.
+
+    If the fit takes the noise as nearly zero, u of the cross-axis terms is a hundred times as large.
+    """
+    exact = simulate(np.random.default_rng(seed) if seed else None, 0.0, setting_u_rad=0.0)
+    noise = np.random.default_rng(2).normal(0.0, 1e-6, exact.signal.shape)
+    noisy = dataclasses.replace(exact, signal=exact.signal + noise)
+    assert np.all(signed(exact).u < 1.02 * signed(noisy).u)
 
 
 def test_an_offset_of_the_temperature_moves_what_its_u_says(run):

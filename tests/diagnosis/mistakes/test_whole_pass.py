@@ -53,6 +53,27 @@ def test_an_angle_read_wrong_in_a_pass_is_put_right(off_arcmin):
     assert mistake.misfit_after < 1.25
 
 
+@pytest.mark.parametrize(
+    ("off_deg", "everywhere"), [(90.0, False), (-135.0, False), (180.0, False), (90.0, True)]
+)
+def test_a_head_that_was_stops_off_in_a_pass_is_put_right(off_deg, everywhere):
+    """In the pass of one installation, or of both."""
+    where, good = of_a_pass(np.random.default_rng([105, 1])), run([106, 1])
+    off = np.radians(off_deg)
+    bad, rows = turned(good, where, off)
+    if everywhere:
+        other, more = turned(bad, ("12".replace(where[0], ""), where[1]), off)
+        bad, rows = other, rows | more
+    found = find(bad)
+    (mistake,) = found.mistakes
+    assert (mistake.name, mistake.pass_number, mistake.cannot_tell_from) == ("wrong_setting", where[1], ())
+    assert mistake.installations == (() if everywhere else (where[0],))
+    assert f"the head had been {off_deg:+.0f}° from where it says in" in mistake.words
+    turns = (found.corrected.angle_rad - good.angle_rad - off * rows) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+    assert mistake.misfit_after < 1.25
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("off_arcsec", [20.0, 560.0])
 def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
