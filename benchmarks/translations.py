@@ -52,9 +52,12 @@ MARKS: Final = {
     "message": slice(0, 1),
     **dict.fromkeys(REFUSALS.split(), slice(0, 1)),
     "SpoiledFit": slice(0, 2),
+    "ValueError": slice(0, 1),
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
 }
+IN_FILES: Final = (ROOT / "bench" / "config", ROOT / "bench" / "base" / "units.py")
+"""The modules in which the text of a `ValueError` is on a file that people write."""
 """The calls that mark texts for translation, with the places of these texts among their arguments."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
@@ -122,6 +125,8 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
                 yield from _wordings(node.value)
         elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MARKS:
             name = node.func.id
+            if name == "ValueError" and not any(file.is_relative_to(one) for one in IN_FILES):
+                continue
             context = node.args[1:2] if name == "message" else []
             told = str(ast.literal_eval(context[0])) if context else ""
             try:

@@ -124,14 +124,15 @@ _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗⚠▶○■●–·]*)(.*?)([
 _SURE, _SHORT = 5, 60
 """In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)")
-_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^[a-z][\w.]*: |^[,;:] ")
+_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^\S+: |^[,;:] ")
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 _TYPED: Final = re.compile(
-    r"'bench [^']*'|: bench .*|kept in \{\d+\}|^\{0\} \(SIMULATED\)|columns? \{\d+\}"
-    r"|header lacks \{\d+\}(?:; expected at least \{\d+\})?|(?:shipped|latest|latest runs) are: .*"
+    r"'bench [^']*'|: bench .*|'\{\d+\}'|(?:choose from|known:|known are|kept in|columns?) \{\d+\}"
+    r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
+    r"|(?:shipped|latest|latest runs) are: .*"
 )
-"""The parts of an entry whose blanks are to be typed, a command, path or column: their values stay as they are."""
+"""The parts of an entry whose blanks hold what is typed or quoted (a command, path or key): their values stay."""
 
 
 @dataclass(frozen=True)
@@ -240,7 +241,7 @@ class Catalogue:
         for separator in ("\n", "  "):
             if len(parts := text.split(separator)) > 1:
                 return separator.join(map(self.translate, parts))
-        if (told := self._last_clause(text) or self._fault(text)) is not None:
+        if (told := self._fault(text) or self._last_clause(text)) is not None:
             return told
         if (end := _SENTENCE_END.search(text)) is not None:  # the rest may be an entry of several sentences
             return f"{self.translate(text[: end.start()])} {self.translate(text[end.end() :])}"
@@ -260,9 +261,11 @@ class Catalogue:
         return f"{self.translate(before)}; {told}" if joint and told != last else None
 
     def _fault(self, text: str) -> str | None:
-        """Return the translation of an instrument's name and its fault, an entry; None for any other text."""
+        """Return the translation of a fault, an entry, after names of instrument or file; None for other texts."""
         name, colon, rest = text.partition(": ")
-        told = (self._exactly(rest) or self._filled(rest)) if colon and " " not in name else None
+        if not colon or " " in name:
+            return None
+        told = self._exactly(rest) or self._filled(rest) or self._fault(rest)
         return None if told is None else f"{self.translate(name)}: {told}"
 
     def _part(self, text: str) -> str:

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Union, get_args, get_or
 
 from pydantic import AfterValidator, BeforeValidator
 
+from bench.base.languages import message
 from bench.base.text import shortened
 
 if TYPE_CHECKING:
@@ -76,23 +77,23 @@ class QuantityKind:
     only: tuple[str, ...] = ()
 
     @property
-    def expected(self) -> str:
-        """The beginning of the message for a rejected value: "expected an angle such as …"."""
-        return f"expected {self.called} such as '{self.example}'"
+    def words(self) -> str:
+        """The kind and an example in words, for messages: "an angle such as '90 arcsec'"."""
+        return message(f"{self.called} such as '{self.example}'")
 
 
-ANGLE: Final = QuantityKind("an angle", "90 arcsec", "rad")
-VOLTAGE: Final = QuantityKind("a voltage", "0.3 mV", "V")
-CURRENT: Final = QuantityKind("a current", "200 mA", "A")
-DURATION: Final = QuantityKind("a duration", "30 s", "s")
-TEMPERATURE: Final = QuantityKind("a temperature", "23 degC", "degC", only=("degC",))
-DIFFERENCE: Final = QuantityKind("a difference of temperatures", "2 K", "K", only=("K", "mK"))
-SCALE_FACTOR: Final = QuantityKind("a scale factor with its sign", "-2.18 V/g", "V/g")
-ACCELERATION: Final = QuantityKind("an acceleration in local gravity", "3e-4 g", "g")
-GRAVITY: Final = QuantityKind("an acceleration", "9.81 m/s^2", "m/s^2")
-LENGTH: Final = QuantityKind("a length", "180 m", "m")
-FREQUENCY: Final = QuantityKind("a frequency", "50 Hz", "Hz")
-RATIO: Final = QuantityKind("a plain number", "0.01", "")
+ANGLE: Final = QuantityKind(message("an angle"), "90 arcsec", "rad")
+VOLTAGE: Final = QuantityKind(message("a voltage"), "0.3 mV", "V")
+CURRENT: Final = QuantityKind(message("a current"), "200 mA", "A")
+DURATION: Final = QuantityKind(message("a duration"), "30 s", "s")
+TEMPERATURE: Final = QuantityKind(message("a temperature"), "23 degC", "degC", only=("degC",))
+DIFFERENCE: Final = QuantityKind(message("a difference of temperatures"), "2 K", "K", only=("K", "mK"))
+SCALE_FACTOR: Final = QuantityKind(message("a scale factor with its sign"), "-2.18 V/g", "V/g")
+ACCELERATION: Final = QuantityKind(message("an acceleration in local gravity"), "3e-4 g", "g")
+GRAVITY: Final = QuantityKind(message("an acceleration"), "9.81 m/s^2", "m/s^2")
+LENGTH: Final = QuantityKind(message("a length"), "180 m", "m")
+FREQUENCY: Final = QuantityKind(message("a frequency"), "50 Hz", "Hz")
+RATIO: Final = QuantityKind(message("a plain number"), "0.01", "")
 
 
 @cache
@@ -116,7 +117,11 @@ def _factor(unit: str, si: str) -> float | None:
     for name in re.findall(r"[A-Za-z_]+", unit):
         if name not in registry:
             near = difflib.get_close_matches(name, _UNITS, n=1)
-            hint = f", did you mean '{near[0]}'?" if near else f"; known are {', '.join(_UNITS)}"
+            hint = (
+                message(f", did you mean '{near[0]}'?")
+                if near
+                else message(f"; known are {', '.join(_UNITS)}")
+            )
             raise ValueError(f"unknown unit '{name}'{hint}")
     one = registry.Quantity(1.0, registry.parse_units(unit))
     wanted = registry.parse_units(si)
@@ -131,7 +136,7 @@ def parse_quantity(text: object, kind: QuantityKind) -> float:
     """
     if not isinstance(text, str):
         got = {dict: "a mapping", list: "a list", type(None): "nothing"}.get(type(text), repr(text))
-        raise ValueError(f"{kind.expected}, got {got}")
+        raise ValueError(f"expected {kind.words}, got {got}")
     return _parsed(text, kind)
 
 
@@ -146,16 +151,16 @@ def _parsed(text: str, kind: QuantityKind) -> float:
     """Return what `parse_quantity` returns for a text; cached, because a long procedure repeats its texts."""
     read = number_and_unit(text)
     if read is None:
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
+        raise ValueError(f"expected {kind.words}, got '{shortened(text)}'")
     number, unit = read
     if not unit and kind.si:
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}' without a unit; add one")
+        raise ValueError(f"expected {kind.words}, got '{shortened(text)}' without a unit; add one")
     factor = _factor_of(unit, kind, text)
     if factor is None or (kind.only and unit not in kind.only):
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}'")
+        raise ValueError(f"expected {kind.words}, got '{shortened(text)}'")
     value = number * factor
     if not math.isfinite(value):
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}', which is too large")
+        raise ValueError(f"expected {kind.words}, got '{shortened(text)}', which is too large")
     return value
 
 
@@ -167,7 +172,7 @@ def _factor_of(unit: str, kind: QuantityKind, text: str) -> float | None:
     try:
         return _factor(unit, kind.si)
     except ValueError as error:
-        raise ValueError(f"{kind.expected}, got '{shortened(text)}' ({error})") from None
+        raise ValueError(f"expected {kind.words}, got '{shortened(text)}' ({error})") from None
 
 
 Dimension = tuple[tuple[str, float], ...]
@@ -190,7 +195,7 @@ def unit_of(unit: str) -> tuple[float, Dimension]:
     if not unit:
         return 1.0, ()
     if _UNIT.fullmatch(unit) is None:
-        raise ValueError(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}")
+        raise ValueError(message(f"'{unit}' is not a unit; known are {', '.join(_UNITS)}"))
     _factor(unit, "")
     dimensionality: Mapping[str, Any] = (
         _registry().Quantity(1.0, _registry().parse_units(unit)).dimensionality
@@ -219,7 +224,7 @@ def not_negative(kind: QuantityKind) -> BeforeValidator:
     def read(value: object) -> float:
         number = parse_quantity(value, kind)
         if number < 0.0:
-            raise ValueError(f"{kind.expected}, not negative, got '{shortened(str(value))}'")
+            raise ValueError(f"expected {kind.words}, not negative, got '{shortened(str(value))}'")
         return number
 
     return BeforeValidator(read)

@@ -28,6 +28,7 @@ from yaml.events import (
 )
 
 from bench.base.files import MEGABYTE, read_regular
+from bench.base.languages import message
 from bench.base.text import QUOTED, shortened
 
 # --- YAML text --------------------------------------------------------------------------------------
@@ -39,29 +40,30 @@ MOST_TOLD: Final = 200
 """The most mistakes reported for one file; further mistakes are reported once these are corrected."""
 
 _EXPECTED: Final = {
-    "int_parsing": "a whole number",
-    "int_parsing_size": "a whole number",
-    "int_type": "a whole number",
-    "int_from_float": "a whole number",
-    "float_parsing": "a number",
-    "float_type": "a number",
-    "finite_number": "a finite number",
-    "bool_parsing": "yes or no",
-    "bool_type": "yes or no",
-    "string_type": "a text",
-    "string_too_short": "a text that is not empty",
-    "list_type": "a list",
-    "tuple_type": "a list",
-    "dict_type": "keys with values",
-    "model_type": "keys with values",
-    "model_attributes_type": "keys with values",
-    "greater_than": "more than {gt}",
-    "greater_than_equal": "{ge} or more",
-    "less_than": "less than {lt}",
-    "less_than_equal": "{le} or less",
-    "too_short": "a list of at least {min_length}",
-    "too_long": "a list of at most {max_length}",
+    "int_parsing": message("a whole number"),
+    "int_parsing_size": message("a whole number"),
+    "int_type": message("a whole number"),
+    "int_from_float": message("a whole number"),
+    "float_parsing": message("a number"),
+    "float_type": message("a number"),
+    "finite_number": message("a finite number"),
+    "bool_parsing": message("yes or no"),
+    "bool_type": message("yes or no"),
+    "string_type": message("a text"),
+    "string_too_short": message("a text that is not empty"),
+    "list_type": message("a list"),
+    "tuple_type": message("a list"),
+    "dict_type": message("keys with values"),
+    "model_type": message("keys with values"),
+    "model_attributes_type": message("keys with values"),
+    "greater_than": message("more than {0}"),
+    "greater_than_equal": message("{0} or more"),
+    "less_than": message("less than {0}"),
+    "less_than_equal": message("{0} or less"),
+    "too_short": message("a list of at least {0}"),
+    "too_long": message("a list of at most {0}"),
 }
+_LIMITS: Final = ("gt", "ge", "lt", "le", "min_length", "max_length")
 
 
 def explained(
@@ -83,9 +85,12 @@ def explained(
         match detail["type"]:
             case "missing":
                 if detail["loc"] not in misspelt:
-                    yield place, f"'{detail['loc'][-1]}' is missing"
+                    yield place, message(f"'{detail['loc'][-1]}' is missing")
             case "extra_forbidden":
-                yield place, unknown_word(str(place[-1]), sorted(_keys(model, detail["loc"][:-1])), "key")
+                yield (
+                    place,
+                    unknown_word(str(place[-1]), sorted(_keys(model, detail["loc"][:-1])), message("key")),
+                )
             case "literal_error" | "enum":
                 yield place, _wrong_word(detail)
             case "too_short" if len(detail["input"]) >= (detail.get("ctx") or {})["min_length"]:
@@ -100,10 +105,10 @@ def unknown_word(word: str, known: list[str], what: str) -> str:
     For an unknown word the sentence suggests the nearest known word.
     """
     if word in known:
-        return f"'{word}' does not fit the other keys here; remove it or them"
+        return message(f"'{word}' does not fit the other keys here; remove it or them")
     near = _nearest(word, known)
-    hint = f"did you mean '{near}'? " if near else ""
-    return f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}"
+    hint = message(f"did you mean '{near}'? ") if near else ""
+    return message(f"unknown {what} '{shortened(word)}'; {hint}known: {', '.join(known)}")
 
 
 def _nearest(word: str, known: Iterable[str]) -> str | None:
@@ -128,11 +133,11 @@ def _written(location: tuple[int | str, ...], lines: Mapping[Place, int]) -> Pla
 def _got(value: object) -> str:
     match value:
         case dict():
-            return "keys with values"
+            return message("keys with values")
         case list():
-            return f"a list of {len(value)}"
+            return message(f"a list of {len(value)}")
         case None:
-            return "nothing"
+            return message("nothing")
         case _:
             return f"'{shortened(str(value))}'"
 
@@ -142,8 +147,8 @@ def _wrong_word(detail: ErrorDetails) -> str:
     expected = str(context.get("expected", "")).replace("'", "")
     known = [word.strip() for word in expected.replace(" or ", ",").split(",")]
     near = _nearest(str(detail["input"]), known)
-    hint = f"; did you mean '{near}'?" if near else ""
-    return f"expected {expected}, got {_got(detail['input'])}{hint}"
+    hint = message(f"; did you mean '{near}'?") if near else ""
+    return message(f"expected {expected}, got {_got(detail['input'])}{hint}")
 
 
 def _wrong_value(detail: ErrorDetails) -> str:
@@ -151,8 +156,9 @@ def _wrong_value(detail: ErrorDetails) -> str:
     if detail["type"] == "value_error":
         return str(context["error"])
     if detail["type"] in _EXPECTED:
-        expected = _EXPECTED[detail["type"]].format(**context)
-        return f"expected {expected}, got {_got(detail['input'])}"
+        limits = [context[name] for name in _LIMITS if name in context]
+        expected = _EXPECTED[detail["type"]].format(*limits)
+        return message(f"expected {expected}, got {_got(detail['input'])}")
     return f"{detail['msg'][:1].lower()}{detail['msg'][1:]}, got {_got(detail['input'])}"
 
 
@@ -454,13 +460,15 @@ def document_of(path: Path, content: bytes) -> Document:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = content.count(b"\n", 0, error.start) + 1
-        raise _unusable(path, "the file is not UTF-8 text; save it as UTF-8 and try again", line) from None
+        raise _unusable(
+            path, message("the file is not UTF-8 text; save it as UTF-8 and try again"), line
+        ) from None
     try:
         written = read_yaml(text)
     except yaml.YAMLError as error:
         raise _not_yaml(path, text, error) from None
     if written.data is None:
-        raise _unusable(path, "the file is empty; write it, or name another file")
+        raise _unusable(path, message("the file is empty; write it, or name another file"))
     mistakes = [FileMistake(line, dotted(place), told) for line, place, told in written.slips]
     return Document(path, written.data, hashlib.sha256(content).hexdigest(), text, written.lines, mistakes)
 
@@ -469,14 +477,14 @@ def _content(path: Path, most_bytes: int) -> bytes:
     try:
         return read_regular(path, most_bytes)
     except FileNotFoundError:
-        text = "there is no such file; check the name"
+        text = message("there is no such file; check the name")
     except IsADirectoryError:
-        text = "this is a folder; name a file in it"
+        text = message("this is a folder; name a file in it")
     except PermissionError as error:
-        text = f"the file cannot be read ({error.strerror}); check its permissions"
+        text = message(f"the file cannot be read ({error.strerror}); check its permissions")
     except OSError as error:
-        size = f"{most_bytes / MEGABYTE:g} MB"
-        text = f"the file cannot be read ({error.strerror}); name a regular file of at most {size}"
+        size = message(f"{most_bytes / MEGABYTE:g} MB")
+        text = message(f"the file cannot be read ({error.strerror}); name a regular file of at most {size}")
     raise _unusable(path, text)
 
 
@@ -493,21 +501,21 @@ def _not_yaml(path: Path, text: str, error: yaml.YAMLError) -> FileMistakes:
         except RecursionError:
             pass
     if not isinstance(error, yaml.MarkedYAMLError):
-        reason = str(error).splitlines()[0] if str(error) else "it cannot be read"
-        return _unusable(path, f"this is not YAML: {reason}")
+        reason = str(error).splitlines()[0] if str(error) else message("it cannot be read")
+        return _unusable(path, message(f"this is not YAML: {reason}"))
     mark = error.problem_mark or error.context_mark
     context = f" {error.context}" if error.context else ""
-    problem = f"this is not YAML: {error.problem or 'it cannot be read'}{context}"
+    problem = message(f"this is not YAML: {error.problem or 'it cannot be read'}{context}")
     return _unusable(path, _hinted(problem), mark.line + 1 if mark else 0)
 
 
 def _hinted(problem: str) -> str:
     if "'\\t'" in problem:
-        return f"{problem}; indent with spaces, not with tabs"
+        return message(f"{problem}; indent with spaces, not with tabs")
     if "mapping values are not allowed" in problem:
-        return f"{problem}; put a text with a colon in quotes, and check the indentation"
+        return message(f"{problem}; put a text with a colon in quotes, and check the indentation")
     if "expected <block end>" in problem:
-        return f"{problem}; check the indentation of this line"
+        return message(f"{problem}; check the indentation of this line")
     return problem
 
 

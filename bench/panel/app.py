@@ -161,6 +161,8 @@ def prepare(panel: Panel) -> None:
     panel.table.read_all()
 
 
+ADDRESS: Final = "https://bench.lab"
+"""An example of an address for browsers."""
 MOST_CONNECTIONS: Final = 200
 REQUEST_S: Final = 10.0
 """Longest time (s) for a request to arrive, with head and body."""
@@ -305,7 +307,7 @@ def check(settings: Settings) -> None:
     address = urlsplit(settings.address)
     if settings.address and (address.scheme not in {"http", "https"} or not address.netloc or address.path):
         raise RecordError(
-            f"--address {settings.address}: give the address as typed in a browser, such as https://bench.lab"
+            f"--address {settings.address}: give the address as typed in a browser, such as {ADDRESS}"
         )
     access = Access(settings.runs / STATE, laboratory=settings.laboratory)
     if not settings.loopback and not access.tokens():

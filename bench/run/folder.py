@@ -138,7 +138,7 @@ class Run:
         """
         taken = list(self.trusted_history().readings.values())
         if not taken:
-            resume = "" if self.history.state in ENDED else ", or resume this one"
+            resume = "" if self.history.state in ENDED else message(", or resume this one")
             raise RecordError(f"{self.folder}: the run has no reading; name another run{resume}")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
         power = self.trusted_history().power

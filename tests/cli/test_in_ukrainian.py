@@ -14,7 +14,7 @@ from tests.support.pages import ROOT
 
 TYPED = re.compile(
     r"«bench[^»]*»|'[^']*'|\"[^\"]*\"|\bbench [a-z]+ .*|(?<!\w)--?[a-z][\w-]*|[\w.-]*/[\w./-]*|\w+\.(?:yaml|json)"
-    r"|зразкові: .*|\[.*\]"
+    r"|(?:зразкові|відомі):? .*|очікувалося щонайменше .*|\[.*\]"
 )
 """What stays as it is: commands, quoted texts, options, paths, files, and units in the brackets of a question."""
 TWO_WORDS = re.compile(r"\b[A-Za-z]{2,},? [a-z]{3,}\b")
@@ -99,3 +99,19 @@ def test_a_run_with_a_stop_and_its_verdict_is_ukrainian_throughout(at_the_bench)
         QUICK,
     ):
         at_the_bench(*command, status=2)
+
+
+def test_mistakes_in_files_are_told_in_ukrainian_and_their_keys_stay(at_the_bench):
+    bench = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    Path("wrong.yaml").write_text(
+        bench.replace("gravity:", "gravty:").replace("3e-4 g", "quick"), encoding="utf-8"
+    )
+    said = at_the_bench("run", "quick", "--dry-run", "--bench", "wrong.yaml", status=2)
+    assert "невідомий ключ «gravty»; може, «gravity»?" in said
+    assert "очікувалося прискорення" in said
+    Path("wrong.csv").write_text(
+        "installation,pass,point,angle_deg,ux_v,uy_v\n1,1,1,0,1,2\n", encoding="utf-8"
+    )
+    assert "у заголовку немає uz_v; очікувалося щонайменше installation,pass" in at_the_bench(
+        "calibrate", "wrong.csv", status=2
+    )

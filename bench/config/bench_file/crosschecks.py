@@ -9,6 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from bench.base.arrays import CHANNELS
+from bench.base.languages import message
 from bench.base.units import CURRENT, DURATION, SCALE_FACTOR, VOLTAGE, QuantityKind, parse_quantity
 from bench.base.yaml_files import Place, part, unknown_word
 from bench.config.bench_file.sections import SURROUNDINGS, InstrumentsSection
@@ -66,7 +67,12 @@ def _channel_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
             carried.setdefault(channel, index)
     missing = [channel for channel in CHANNELS if channel not in carried]
     if missing and not unreadable:
-        yield place, f"no voltmeter reads channel {', '.join(missing)}; give each of x, y, z to one voltmeter"
+        yield (
+            place,
+            message(
+                f"no voltmeter reads channel {', '.join(missing)}; give each of x, y, z to one voltmeter"
+            ),
+        )
 
 
 def _one_range_mistakes(voltmeters: Any) -> Iterator[tuple[Place, str]]:
@@ -90,7 +96,7 @@ def _resource_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
             continue
         where = bus_place(resource) or resource
         if where in known and not (inside[0] in _THERMOMETERS and _is_on_a_free_channel(data, inside[0])):
-            yield place, f"'{resource}' is {known[where]} already"
+            yield place, message(f"'{resource}' is {known[where]} already")
         known.setdefault(where, called)
 
 
@@ -127,11 +133,11 @@ def _surrounding_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
             )
             yield ("instruments", key), text
         elif stated == "chamber" and part(chamber, "driver") == "manual-chamber":
-            text = "a person reads this chamber once per mounting only; state a thermometer"
+            text = message("a person reads this chamber once per mounting only; state a thermometer")
             yield ("instruments", key), text
         for unused in ("certificate", "gradient"):
             if part(stated, unused) is not None:
-                text = f"only differences of this temperature count, and no '{unused}'; leave it out"
+                text = message(f"only differences of this temperature count, and no '{unused}'; leave it out")
                 yield ("instruments", key, unused), text
 
 
@@ -150,7 +156,7 @@ def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         place: Place = ("unit_under_test", "scale_factors", channel)
         scale = _value(part(data, *place), SCALE_FACTOR)
         if scale is not None and abs(scale) > full_scale_v:
-            yield place, f"1 g gives {abs(scale):g} V, but {limit}; take a higher range"
+            yield place, message(f"1 g gives {abs(scale):g} V, but {limit}; take a higher range")
     for row, channel in enumerate(CHANNELS):
         truth: Place = ("simulation", "block")
         terms = [_value(part(data, *truth, "K", row, column), SCALE_FACTOR) for column in range(3)]
@@ -159,7 +165,10 @@ def _signal_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         if len(known) == 3 and bias is not None:
             peak_v = float(np.linalg.norm(known)) + abs(bias)
             if peak_v > full_scale_v:
-                yield (*truth, "K", row), f"channel {channel} reaches {peak_v:.3g} V in a turn, but {limit}"
+                yield (
+                    (*truth, "K", row),
+                    message(f"channel {channel} reaches {peak_v:.3g} V in a turn, but {limit}"),
+                )
 
 
 def _label_mistakes(installations: Any) -> Iterator[tuple[Place, str]]:
@@ -184,7 +193,10 @@ def _name_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
     seen: set[str] = set()
     for name in instruments.names():
         if name in seen:
-            yield ("instruments",), f"two instruments are called '{name}'; give one of them another name"
+            yield (
+                ("instruments",),
+                message(f"two instruments are called '{name}'; give one of them another name"),
+            )
         seen.add(name)
     by_hand = {section.name for section in instruments.all() if section.by_hand}
     wired = [name for name in instruments.names() if name not in by_hand]
@@ -222,7 +234,7 @@ def _simulation_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
         elsewhere = set().union(*able.values()) - set(able[driver])
         for key in sorted(key for key in elsewhere if part(stated, key) is not None):
             lacking = _LACKS.get(key, f"no '{key}'")
-            yield ("simulation", role, key), f"the simulated {driver} has {lacking}; leave it out"
+            yield ("simulation", role, key), message(f"the simulated {driver} has {lacking}; leave it out")
 
 
 def _instruments(data: Any) -> InstrumentsSection | None:
@@ -276,7 +288,7 @@ def supply_mistakes(data: Any) -> Iterator[tuple[Place, str]]:
             yield (*place, *inside), text
     pause_s = _value(part(data, *_UNIT, "pause"), DURATION)
     if pause_s and limits is not None and limits.together:
-        yield (*_UNIT, "pause"), "this supply switches all outputs together; remove 'pause'"
+        yield (*_UNIT, "pause"), message("this supply switches all outputs together; remove 'pause'")
 
 
 def _numbers(written: Any) -> _Rail:
@@ -315,19 +327,22 @@ def _against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
 def _voltages_against_block(rail: _Rail) -> Iterator[tuple[Place, str]]:
     voltage_v, tolerance_v = rail["voltage"], rail["tolerance"]
     if voltage_v == 0.0:
-        yield ("voltage",), "a rail needs a voltage above 0; remove rails that do not feed the block"
+        yield ("voltage",), message("a rail needs a voltage above 0; remove rails that do not feed the block")
         return
     if tolerance_v == 0.0:
-        yield ("tolerance",), "state a tolerance above 0 V: no supply keeps a voltage exactly"
+        yield ("tolerance",), message("state a tolerance above 0 V: no supply keeps a voltage exactly")
     span = _span(rail, "limits")
     if span and span[0] >= span[1]:
-        yield ("limits",), f"the minimum of {span[0]:g} V is not below the maximum of {span[1]:g} V"
+        yield ("limits",), message(f"the minimum of {span[0]:g} V is not below the maximum of {span[1]:g} V")
         return
     if voltage_v is None:
         return
     worst_v = [voltage_v - (tolerance_v or 0.0), voltage_v + (tolerance_v or 0.0)]
     if tolerance_v is not None and tolerance_v >= abs(voltage_v):
-        yield ("tolerance",), f"a tolerance of {tolerance_v:g} V lets a rail of {voltage_v:g} V be none"
+        yield (
+            ("tolerance",),
+            message(f"a tolerance of {tolerance_v:g} V lets a rail of {voltage_v:g} V be none"),
+        )
     elif span and not span[0] <= worst_v[0] <= worst_v[1] <= span[1]:
         yield (
             ("voltage",),
@@ -367,7 +382,7 @@ def _against_supply(rail: _Rail, output: Any, limits: SupplyLimits | None) -> It
         protection_v = None  # reported at 'over_voltage' already: it would trip at once
     settings = OutputSettings(voltage_v, limit_a, protection_v)
     for what in limits.outputs[output].transgressions(settings):
-        yield ("output",), f"the supply's output {output} cannot do {what}"
+        yield ("output",), message(f"the supply's output {output} cannot do {what}")
 
 
 def _limits_of_supply(written: Any) -> SupplyLimits | None:

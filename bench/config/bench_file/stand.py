@@ -8,6 +8,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import AfterValidator, Discriminator, Field, Tag, field_validator, model_validator
 
+from bench.base.languages import message
 from bench.base.units import (
     ACCELERATION,
     GRAVITY,
@@ -397,13 +398,15 @@ class VerificationSection(StatedRule):
     population: PopulationSection | None = None
 
 
-BIAS_PER_K: Final = QuantityKind("a temperature coefficient of the bias", "30 ug/K", "g/K")
-SCALE_PER_K: Final = QuantityKind("a temperature coefficient of the scale factor", "180 ppm/K", "1/K")
-BIAS_PER_V: Final = QuantityKind("a supply coefficient of the bias", "20 ug/V", "g/V")
-SCALE_PER_V: Final = QuantityKind("a supply coefficient of the scale factor", "20 ppm/V", "1/V")
-BIAS: Final = QuantityKind("a bias", "20 ug", "g")
-QUADRATIC: Final = QuantityKind("a quadratic nonlinearity", "30 ug/g^2", "g/g^2")
-CUBIC: Final = QuantityKind("a cubic nonlinearity", "20 ug/g^3", "g/g^3")
+BIAS_PER_K: Final = QuantityKind(message("a temperature coefficient of the bias"), "30 ug/K", "g/K")
+SCALE_PER_K: Final = QuantityKind(
+    message("a temperature coefficient of the scale factor"), "180 ppm/K", "1/K"
+)
+BIAS_PER_V: Final = QuantityKind(message("a supply coefficient of the bias"), "20 ug/V", "g/V")
+SCALE_PER_V: Final = QuantityKind(message("a supply coefficient of the scale factor"), "20 ppm/V", "1/V")
+BIAS: Final = QuantityKind(message("a bias"), "20 ug", "g")
+QUADRATIC: Final = QuantityKind(message("a quadratic nonlinearity"), "30 ug/g^2", "g/g^2")
+CUBIC: Final = QuantityKind(message("a cubic nonlinearity"), "20 ug/g^3", "g/g^3")
 
 
 class RatioError(ErrorSize):

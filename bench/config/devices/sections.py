@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import message
 from bench.base.units import (
     DIFFERENCE,
     RATIO,
@@ -242,7 +243,7 @@ def written_channels(voltmeter: Any) -> tuple[str, list[Any]] | None:
     return None
 
 
-SPEED: Final = QuantityKind("a speed of turning", "10 deg/s", "rad/s")
+SPEED: Final = QuantityKind(message("a speed of turning"), "10 deg/s", "rad/s")
 
 SpeedRadS = Annotated[float, not_negative(SPEED)]
 
@@ -377,7 +378,7 @@ class ReadOutHeadForm(HeadForm, WiredForm):
         return super().simulation_options(truth) | own
 
 
-TEMPERATURE_RATE: Final = QuantityKind("a rate of temperature", "4 K/min", "K/s")
+TEMPERATURE_RATE: Final = QuantityKind(message("a rate of temperature"), "4 K/min", "K/s")
 
 SizeK = Annotated[float, not_negative(DIFFERENCE)]
 RateKS = Annotated[float, not_negative(TEMPERATURE_RATE)]
@@ -510,7 +511,7 @@ class ThermometerForm(DeviceSection):
 SUPPLY_FACTS: Final = ("OUTPUTS", "SWITCHED_TOGETHER")
 """Names that the facts of a power supply define (example: E3631A); with a serial port, also `BAUD_RATES`."""
 
-OF_CURRENT: Final = QuantityKind("a rate of a current", "0.2 percent/K", "1/K")
+OF_CURRENT: Final = QuantityKind(message("a rate of a current"), "0.2 percent/K", "1/K")
 
 
 class SupplyTruth(FileModel):

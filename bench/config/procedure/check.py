@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import HOUR, Floats
+from bench.base.languages import message
 from bench.base.text import APPROACH, duration
 from bench.config.bench_file.file import BenchFile
 from bench.config.devices.registry import UnknownVoltmeter
@@ -55,7 +56,9 @@ def check(plan: Plan, bench: BenchFile, *, dry_run: bool = False) -> list[str]:
 
 def _time_problems(plan: Plan) -> Iterator[str]:
     if not plan.longest_duration_s() < LONGEST_S:
-        yield f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: check its times and counts"
+        yield message(
+            f"the procedure may take more than {LONGEST_S / _DAY:.0f} days: check its times and counts"
+        )
 
 
 def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -64,7 +67,9 @@ def _installation_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for label, key in reversed(first.items()):
         if label not in known:
             listed = ", ".join(known)
-            yield f"step {key}: the bench file has no installation {label} (it has {listed}); add it there"
+            yield message(
+                f"step {key}: the bench file has no installation {label} (it has {listed}); add it there"
+            )
 
 
 def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -79,12 +84,18 @@ def _reading_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for value, key in nplc.items():
         if value not in bench.nplc_supported:
             listed = ", ".join(f"{n:g}" for n in bench.nplc_supported)
-            yield f"step {key}: the voltmeters cannot integrate over {value:g} NPLC; choose from {listed}"
+            yield message(
+                f"step {key}: the voltmeters cannot integrate over {value:g} NPLC; choose from {listed}"
+            )
     for count, key in samples.items():
         if count > bench.most_samples:
-            yield f"step {key}: {count} samples exceed the {bench.most_samples} that a voltmeter stores"
+            yield message(
+                f"step {key}: {count} samples exceed the {bench.most_samples} that a voltmeter stores"
+            )
         elif count < bench.least_samples:
-            yield f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter needs"
+            yield message(
+                f"step {key}: {count} samples are fewer than the {bench.least_samples} that a voltmeter needs"
+            )
 
 
 def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -151,8 +162,10 @@ def _signal_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     largest_g = max((float(np.max(np.abs(f))) for f in orientations(plan, bench).values()), default=0.0)
     if largest_g > bench.unit_under_test.range:
         yield (
-            f"the block is given {largest_g:.3g} g along an axis, but measures no more than "
-            f"{bench.unit_under_test.range:g} g; change its range in the bench file or the angles"
+            message(
+                f"the block is given {largest_g:.3g} g along an axis, but measures no more than "
+                f"{bench.unit_under_test.range:g} g; change its range in the bench file or the angles"
+            )
         )
 
 
@@ -161,13 +174,19 @@ def _temperature_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     chamber = bench.instruments.chamber
     if demands and chamber is None:
         key = demands[next(reversed(demands))]
-        yield f"step {key}: the procedure sets temperatures, but the bench file has no chamber; add one"
-    limits = {"the block": bench.unit_under_test.temperature} | ({"the chamber": chamber} if chamber else {})
+        yield message(
+            f"step {key}: the procedure sets temperatures, but the bench file has no chamber; add one"
+        )
+    limits = {message("the block"): bench.unit_under_test.temperature} | (
+        {message("the chamber"): chamber} if chamber else {}
+    )
     for target_c, key in reversed(demands.items()):
         for what, allowed in limits.items():
             if not allowed.minimum <= target_c <= allowed.maximum:
                 span = f"{allowed.minimum:g} to {allowed.maximum:g} °C"
-                yield f"step {key}: {target_c:g} °C exceeds the limits of {what}, {span}; change the temperature"
+                yield message(
+                    f"step {key}: {target_c:g} °C exceeds the limits of {what}, {span}; change the temperature"
+                )
 
 
 def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
@@ -176,10 +195,15 @@ def _settling_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     if first is None:
         return
     if chamber is None:
-        yield f"step {first.key}: the procedure waits for a temperature, but the bench file has no chamber; add one"
+        yield message(
+            f"step {first.key}: the procedure waits for a temperature, but the bench file has no chamber; add one"
+        )
     elif chamber.by_hand:
         yield (
-            f"step {first.key}: the procedure waits for a temperature, but a person reads it; state a plain soak"
+            message(
+                f"step {first.key}: the procedure waits for a temperature, but a person reads it; state "
+                "a plain soak"
+            )
         )
 
 
@@ -201,8 +225,10 @@ def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     first = next((step for step in plan.steps if isinstance(step, Power)), None)
     if first is not None and bench.unit_under_test.supply is None:
         yield (
-            f"step {first.key}: the block is switched, but the bench file does not say how it is supplied; state "
-            "'supply' under unit_under_test, and its power_supply under instruments"
+            message(
+                f"step {first.key}: the block is switched, but the bench file does not say how it is "
+                "supplied; state 'supply' under unit_under_test, and its power_supply under instruments"
+            )
         )
     on, off_key, input_source = plan.begins_on(), "", "signal"
     for step in plan.steps:
@@ -214,7 +240,9 @@ def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
             if isinstance(step, Settle) and step.what != "signals":
                 continue
             since = f"step {off_key} has switched it off" if off_key else "nothing has switched it on"
-            yield f"step {step.key}: the block is off here, {since}; switch it on before with 'power: on'"
+            yield message(
+                f"step {step.key}: the block is off here, {since}; switch it on before with 'power: on'"
+            )
             return
 
 
@@ -222,7 +250,9 @@ def prompts_without_default(plan: Plan) -> Iterator[str]:
     """Yield a sentence for each prompt that a dry run cannot answer."""
     for step in plan.steps:
         if isinstance(step, Ask) and step.default is None:
-            yield f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; state one"
+            yield message(
+                f"step {step.key}: the prompt '{step.text}' has no default, which a dry run needs; state one"
+            )
 
 
 # --- effort -----------------------------------------------------------------------------------------

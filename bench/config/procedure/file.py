@@ -17,6 +17,7 @@ from pydantic import (
 )
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import message
 from bench.base.units import (
     AngleRad,
     DurationS,
@@ -47,7 +48,9 @@ from drivers.person import PromptKind
 
 Positive = Annotated[int, Field(ge=1)]
 
-TEMPERATURE_DIFFERENCE: Final = QuantityKind("a difference of temperatures", "0.1 K", "K", only=("K", "mK"))
+TEMPERATURE_DIFFERENCE: Final = QuantityKind(
+    message("a difference of temperatures"), "0.1 K", "K", only=("K", "mK")
+)
 
 
 class SettleForm(ActionVerb):

@@ -71,9 +71,10 @@ const _ = (() => {
     const at = text.lastIndexOf("; "), last = text.slice(at + 2), told = part(last);
     return at >= 0 && told !== last ? `${say(text.slice(0, at))}; ${told}` : null;
   };
-  const fault = (text) => {  // an instrument's name and its fault, an entry
+  const fault = (text) => {  // a fault, an entry, after the names of instrument or file
     const at = text.indexOf(": "), rest = text.slice(at + 2);
-    const told = at >= 0 && !text.slice(0, at).includes(" ") ? known(rest) || copied(rest) : null;
+    if (at < 0 || text.slice(0, at).includes(" ")) return null;
+    const told = known(rest) || copied(rest) || fault(rest);
     return told && `${say(text.slice(0, at))}: ${told}`;
   };
   const found = (text) => {
@@ -88,7 +89,7 @@ const _ = (() => {
     for (const joint of ["\n", "  "]) {
       if (text.includes(joint)) return text.split(joint).map(say).join(joint);
     }
-    const clause = lastClause(text) || fault(text);
+    const clause = fault(text) || lastClause(text);
     if (clause) return clause;
     const end = text.search(SENTENCE);  // the rest may be an entry of several sentences
     if (end >= 0) return `${say(text.slice(0, end))} ${say(text.slice(end + 1))}`;
