@@ -96,14 +96,14 @@ def test_what_no_reading_shows_of_an_effect_is_in_the_coefficients_as_all_its_si
 
 
 def test_of_many_finds_the_least_sure_have_all_their_sizes(ready, monkeypatch):
-    """What the readings determine has one size all the same; three to the power of twelve are not gone through."""
+    """What the readings determine has one size all the same; four to the power of twelve are not gone through."""
     families = dict.fromkeys(v.family for v in ready.candidates.variants if v.named and len(v.columns) == 1)
     naming = found(ready, *((family, 1) for family in list(families)[:12]))
     assert len(naming.found) == 12
     many, own = [], np.linalg.slogdet
     monkeypatch.setattr(np.linalg, "slogdet", lambda matrix: many.append(1) or own(matrix))
     fitted = fit_found(ready.linear, ready.candidates, naming, NOISE)
-    assert len(many) == 3 * 12 + 3**5
+    assert len(many) == len(SIZES) * 12 + len(SIZES) ** 5
     assert np.all(np.linalg.eigvalsh(fitted.amplitude_covariance) > 0.0)
     # none of them is there: all are within their u of nothing, which is less than the largest size
     u = np.sqrt(np.diag(fitted.amplitude_covariance))

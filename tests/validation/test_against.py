@@ -61,7 +61,7 @@ def test_the_runs_of_a_changed_estimator_are_listed_and_no_others(past_runs):
 def test_a_run_whose_u_alone_changed_is_listed(past_runs):
     """No coefficient moves, but the u of each is a fifth larger."""
     with edited(
-        "bench.calibration.calibrate:calibrate",
+        "bench.calibration.calibrate:solve",
         "birge**2 * fit.covariance",
         "birge**2 * 1.44 * fit.covariance",
     ):
