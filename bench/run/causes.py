@@ -513,12 +513,18 @@ STOP_ALARM: Final = 1e-6
 
 CLEARLY: Final = 5.0
 """A mistake stops the run only if the misfit, V, is at least this multiple of the largest unexplained one."""
+BEYOND_EFFECTS_G: Final = 0.1
+"""Larger unexplained misfits are no effect of the block, but a reading gone wrong: they prevent no stop."""
 
 
 class Confidence:
-    """Decides whether a misfit stops the run, and remembers the mistakes that a person has accepted."""
+    """Decides whether a misfit stops the run, and remembers the mistakes that a person has accepted.
 
-    def __init__(self, readings: int) -> None:
+    The run has `readings` readings; `scale` (V/g) is the largest nominal scale factor of the block.
+    """
+
+    def __init__(self, readings: int, scale: float) -> None:
+        self._beyond_effects_v = BEYOND_EFFECTS_G * scale
         self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
         self._last: tuple[Kind, ...] = ()
         self._accepted: set[tuple[Kind, tuple[Mounting, ...] | None]] = set()
@@ -555,7 +561,7 @@ class Confidence:
         named = [cause for cause in causes if cause not in somehow]
         only_before = somehow and all(cause.kind is Kind.EARLIER for cause in named)
         if not named or only_before or not all(cause.stops for cause in named):
-            self._unexplained_v = max(self._unexplained_v, off_v)
+            self._not_explained(off_v)
             return False
         if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
             return False
@@ -571,7 +577,7 @@ class Confidence:
         `chi2` is that of the present reading's residuals, `off_v` their Euclidean norm, V.
         """
         if not causes or not all(cause.stops for cause in causes):
-            self._unexplained_v = max(self._unexplained_v, off_v)
+            self._not_explained(off_v)
             return False
         if self._silent or chi2 <= self._sure or off_v < CLEARLY * self._unexplained_v:
             return False
@@ -590,6 +596,10 @@ class Confidence:
         causes = [cause for cause in causes if cause.kind not in LASTING] or causes
         self._stopped_for(causes)
         return sighting, causes
+
+    def _not_explained(self, off_v: float) -> None:
+        if off_v < self._beyond_effects_v:
+            self._unexplained_v = max(self._unexplained_v, off_v)
 
     def _is_accepted(self, sighting: Sighting, causes: Sequence[Suspect]) -> bool:
         held = {kind for kind, mount in self._accepted if mount in (None, sighting.row.mounts)}
