@@ -20,7 +20,8 @@ from bench.config.procedure.plan import Plan, Read
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import UNORIENTED, Reading, readings_of
-from bench.run.causes import Confidence, Inquiry, Suspect, likeliest
+from bench.run.causes import Inquiry, Suspect, likeliest
+from bench.run.confidence import Confidence
 from bench.run.events import Event, EventType, Mounted
 from bench.run.expectation import (
     SETTING,
