@@ -56,9 +56,9 @@ MARKS: Final = {
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
 }
+"""The calls that mark texts for translation, with the places of these texts among their arguments."""
 IN_FILES: Final = (ROOT / "bench" / "config", ROOT / "bench" / "base" / "units.py")
 """The modules in which the text of a `ValueError` is on a file that people write."""
-"""The calls that mark texts for translation, with the places of these texts among their arguments."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')

@@ -1,4 +1,4 @@
-"""Common mistakes that explain a misfit of a reading, and the decision whether to stop the run."""
+"""Common mistakes that explain a misfit of a reading."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ from enum import StrEnum
 from typing import Final
 
 import numpy as np
-from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
-from bench.model.conditions import Mounting
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.corrected import EXCHANGED, REVERSED, SLIPS_RAD, Wiring, reflected_rad
@@ -506,95 +504,3 @@ def likeliest(suspects: Sequence[Suspect]) -> list[Suspect]:
         return []
     rivals = (s for s in ranked.values() if best.free or not s.free)
     return sorted((s for s in rivals if s.cost - best.cost < TIE), key=lambda s: s.cost)
-
-
-STOP_ALARM: Final = 1e-6
-"""Probability that a run on a good bench is stopped because of a misfit by chance alone."""
-
-CLEARLY: Final = 5.0
-"""A mistake stops the run only if the misfit, V, is at least this multiple of the largest unexplained one."""
-
-
-class Confidence:
-    """Decides whether a misfit stops the run, and remembers the mistakes that a person has accepted."""
-
-    def __init__(self, readings: int) -> None:
-        self._sure = float(chdtri(3, STOP_ALARM / max(readings, 1)))
-        self._last: tuple[Kind, ...] = ()
-        self._accepted: set[tuple[Kind, tuple[Mounting, ...] | None]] = set()
-        self._silent = False
-        self._unexplained_v = 0.0
-        self._undecided: tuple[Sighting, list[Suspect]] | None = None
-
-    def mounted(self) -> None:
-        """Allow stops again, because the block was mounted again; forget a misfit with several causes."""
-        self._silent, self._undecided = False, None
-
-    def forget(self) -> None:
-        """Allow stops again and forget earlier misfits, because readings are repeated."""
-        self._silent, self._undecided, self._unexplained_v = False, None, 0.0
-
-    def went_on(self, sighting: Sighting) -> None:
-        """Accept the lasting mistakes just named; no stop until a reading fits, is redone or follows a remount."""
-        self._silent = True
-        for kind in self._last:
-            if kind in LASTING:
-                mount = sighting.row.mounts if kind in (Kind.INSTALLATION, Kind.ORIENTATION) else None
-                self._accepted.add((kind, mount))
-
-    def misfits(
-        self, sighting: Sighting, chi2: float, off_v: float, causes: Sequence[Suspect], in_a_row: int
-    ) -> bool:
-        """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
-
-        `chi2` is that of the residuals, `off_v` their Euclidean norm, V. `in_a_row` is the number of consecutive
-        readings that did not fit.
-        """
-        self._undecided = None
-        somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
-        named = [cause for cause in causes if cause not in somehow]
-        only_before = somehow and all(cause.kind is Kind.EARLIER for cause in named)
-        if not named or only_before or not all(cause.stops for cause in named):
-            self._unexplained_v = max(self._unexplained_v, off_v)
-            return False
-        if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
-            return False
-        significant = chi2 > self._sure
-        stops = (significant and (len(causes) == 1 or sighting.next_rad is None)) or in_a_row >= 2
-        if significant and not stops:
-            self._undecided = (sighting, list(causes))
-        return self._stopped_for(causes) if stops else False
-
-    def earlier(self, chi2: float, off_v: float, causes: Sequence[Suspect]) -> bool:
-        """Return whether to stop the run because `causes` show a mistake in an earlier reading.
-
-        `chi2` is that of the present reading's residuals, `off_v` their Euclidean norm, V.
-        """
-        if not causes or not all(cause.stops for cause in causes):
-            self._unexplained_v = max(self._unexplained_v, off_v)
-            return False
-        if self._silent or chi2 <= self._sure or off_v < CLEARLY * self._unexplained_v:
-            return False
-        return self._stopped_for(causes)
-
-    def fits(self) -> tuple[Sighting, list[Suspect]] | None:
-        """Note a reading that fits; return the undecided reading that it proves wrong, with causes, or None.
-
-        An undecided reading did not fit, but did not stop the run, because several mistakes explained it.
-        """
-        self._silent = False
-        before, self._undecided = self._undecided, None
-        if before is None:
-            return None
-        sighting, causes = before
-        causes = [cause for cause in causes if cause.kind not in LASTING] or causes
-        self._stopped_for(causes)
-        return sighting, causes
-
-    def _is_accepted(self, sighting: Sighting, causes: Sequence[Suspect]) -> bool:
-        held = {kind for kind, mount in self._accepted if mount in (None, sighting.row.mounts)}
-        return self._silent or any(cause.kind in held for cause in causes)
-
-    def _stopped_for(self, causes: Sequence[Suspect]) -> bool:
-        self._last = tuple(cause.kind for cause in causes)
-        return True

@@ -20,7 +20,8 @@ from bench.config.procedure.plan import Plan, Read
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import UNORIENTED, Reading, readings_of
-from bench.run.causes import Confidence, Inquiry, Suspect, likeliest
+from bench.run.causes import Inquiry, Suspect, likeliest
+from bench.run.confidence import Confidence
 from bench.run.events import Event, EventType, Mounted
 from bench.run.expectation import (
     SETTING,
@@ -110,7 +111,7 @@ class EarlyWarning:
         further = {text: sat for found in ways.values() for text, sat in found.items()}
         self._model = replace(model, installations={**model.installations, **further})
         self._following = following or {}
-        self._confidence = Confidence(readings)
+        self._confidence = Confidence(readings, float(np.max(scale)))
         self._stand_u = dict(stand_u)
         terms = np.where(np.eye(3) == 1, SCALE_FACTOR_U, CROSS_AXIS_U) * scale[:, None]
         self._prior = Expectation.about(self._nominal, np.concatenate([terms.ravel(), BIAS_U_G * scale]))

@@ -254,7 +254,7 @@ class EarlySign:
     `causes` are the mistakes that explain the reading equally well, likeliest first, empty if none does; `kinds`
     are their kinds. `in_a_row` is the number of consecutive readings that did not fit. `at_fault` is the place of
     an earlier reading found to be wrong; the present reading fits without it, and `in_a_row` is 0. If `confident`,
-    the run has to stop and ask (`bench.run.causes`); `wrong` then identifies the reading at fault (series,
+    the run has to stop and ask (`bench.run.confidence`); `wrong` then identifies the reading at fault (series,
     installation, pass, point).
     """
 

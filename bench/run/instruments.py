@@ -125,9 +125,12 @@ class TemperatureCheck:
     demanded_c: float | None = None
 
     def __call__(self, read: Callable[[str], float], key: str) -> float:
-        """Return the temperature that the person enters through `read`; ask again if the person takes it back."""
-        shown_c = read(key)
-        for again in range(1, ATTEMPTS):
+        """Return the temperature that the person enters through `read`; ask again if the person takes it back.
+
+        Raises `BenchError` if the person takes each of `ATTEMPTS` temperatures back, and the errors of `ask`.
+        """
+        for again in range(1, ATTEMPTS + 1):
+            shown_c = read(key if again == 1 else f"{key}/again{again - 1}")
             question = self._question(shown_c)
             prompt = Prompt(
                 id=f"{key}/right{again}",
@@ -136,9 +139,12 @@ class TemperatureCheck:
                 action={"do": "confirm_reading"},
             )
             if not question or ask(self.person, prompt).lower() not in NO:
-                break
-            shown_c = read(f"{key}/again{again}")
-        return shown_c
+                return shown_c
+        raise BenchError(
+            "operator",
+            f"answered no several times to: {question}",
+            "check the thermometer and its range in the bench file, then repeat this step",
+        )
 
     def _question(self, shown_c: float) -> str:
         if self.last_c is not None:

@@ -17,7 +17,8 @@ from bench.base.text import as_typed
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.corrected import MistakeName
 from bench.readings.table import JoinedPart, Readings, all_free, together
-from bench.run.causes import CABLINGS, STOP_ALARM, Kind
+from bench.run.causes import CABLINGS, Kind
+from bench.run.confidence import STOP_ALARM
 from bench.run.early_warning import watcher_of
 from bench.run.expectation import EarlySign
 from bench.run.folder import Run

@@ -385,6 +385,27 @@ def test_a_large_effect_of_the_block_is_no_wrong_wiring_or_mounting(added_g):
     assert not [sign.sentence for sign in signs if LASTING & set(sign.kinds)]
 
 
+@pytest.mark.parametrize("number", [2, 5, 9])
+@pytest.mark.parametrize(
+    ("mistaken", "cause"),
+    [
+        ({"wired": channels([1, 0, 2])}, "the cables of channels x and y are swapped"),
+        (
+            {"actual": ["1" if label == "2" else label for label in plan()[0]]},
+            "the block sits in installation 1, not in 2",
+        ),
+    ],
+    ids=["cables", "installation"],
+)
+def test_a_reading_gone_wrong_prevents_no_later_stop(number, mistaken, cause):
+    """1 V off in all channels at one early reading; from installation 2, another mistake."""
+    good, bad = run_of(1), run_of(1, **mistaken)
+    rows = [*good[:27], *bad[27:30]]
+    x_v, y_v, z_v = rows[number - 1].mean
+    rows[number - 1] = replace(rows[number - 1], mean=(x_v + 0.8, y_v - 0.4, z_v + 0.4))
+    assert any(sign.confident and cause in sign.causes for seen, sign in watch(rows) if seen > 27)
+
+
 def test_rows_without_orientation_are_passed_over_and_what_is_unknown_is_no_obstacle():
     rows = run_of(6)
     shorted = replace(rows[0], installation="S", angle_deg=None, mean=(0.0, 0.0, 0.0))

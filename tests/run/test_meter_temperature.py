@@ -20,7 +20,8 @@ from bench.run.instruments import (
     told_at_reading,
 )
 from drivers.instruments.manual import ManualChamber, ManualThermometer
-from drivers.person import Answer, PromptKind
+from drivers.interfaces import BenchError
+from drivers.person import ATTEMPTS, Answer, PromptKind
 
 SENSOR = '{driver: keysight-34970a-thermometer, resource: "%s", interface: gpib, channel: %s}'
 ON_SIGNALS = {
@@ -160,6 +161,12 @@ def test_an_unexpected_temperature_is_asked_about_once(typed, before, doubt):
     assert found_c == float(typed.replace(",", "."))
     assert person.doubts == [doubt]
     assert person.asked[1].default is None  # Enter alone confirms nothing
+
+
+def test_a_temperature_that_the_person_takes_back_is_never_used():
+    person = Typing(*["44", "no"] * ATTEMPTS)
+    with pytest.raises(BenchError, match="answered no several times to: 44 °C: 21 °C from"):
+        told_at_mounting(chamber(person), "3/mount", TemperatureCheck(person))
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Ints, Labels, Mask
+from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Labels, Mask
 from bench.calibration.mistakes import PREFIX, PREFIXES, in_another_unit
 from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
@@ -336,15 +336,13 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     """Yield suppositions that the head stood quarter turns, or several wide stops, from where it says."""
     stops, offs_deg = _stop_rad(table, scope.mask), {90.0, -90.0, 180.0}
-    stop_deg = 0.0 if stops is None else round(float(np.degrees(np.max(np.abs(stops[scope.mask])))), 3)
+    stop_deg = 0.0 if stops is None else round(float(np.degrees(np.max(np.abs(stops[scope.mask])))), 6)
     if stop_deg >= LEAST_STOP_DEG:
-        several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 3).tolist()
+        several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 5).tolist()
         offs_deg |= {sign * off for off in several for sign in (1.0, -1.0)}
         offs_deg -= {stop_deg, -stop_deg}  # `_shifted` has these
-    if scope.pass_number is None:
-        offs_deg -= {
-            180.0
-        }  # almost the same as all signals reversed, which a data sheet of other signs explains
+    if scope.pass_number is None:  # 180° is almost all signals reversed, as by a data sheet of other signs
+        offs_deg.discard(180.0)
     for off in sorted(offs_deg, key=lambda off: (abs(off), off)):
         angle = np.where(scope.mask, table.angle_rad + np.radians(off), table.angle_rad)
         words = head_was_off(off, f" {scope}")
@@ -382,8 +380,10 @@ def _stop_rad(table: OrientedRows, mask: Mask) -> Floats | None:
         steps = np.diff(table.angle_rad[own])
         if not len(steps):
             continue
-        # rounded to minutes of arc, which removes the scatter of the settings
-        stops[own] = np.radians(np.round(np.degrees(np.median(steps)) * 60) / 60)
+        # rounded to minutes of arc, which removes the scatter of the settings; without scatter, as it is
+        stop = float(np.median(steps))
+        in_minutes = 60.0 * ARCSEC * round(stop / (60.0 * ARCSEC))
+        stops[own] = stop if np.ptp(steps) < ARCSEC < abs(stop - in_minutes) else in_minutes
         widths += [*np.abs(steps), float(np.abs(np.median(steps)))]
         if np.ptp(np.sign(steps)):
             return None

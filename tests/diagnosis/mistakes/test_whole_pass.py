@@ -74,6 +74,22 @@ def test_a_head_that_was_stops_off_in_a_pass_is_put_right(off_deg, everywhere):
     assert mistake.misfit_after < 1.25
 
 
+@pytest.mark.parametrize("stops", [1, -3])
+def test_stops_of_a_seventh_of_a_turn_are_put_right_to_the_second(monkeypatch, stops):
+    """A seventh of a turn is 17 arcsec less than the nearest minute of arc."""
+    plan = [(label, number, point) for label in "12" for number in (1, 2, 3) for point in range(1, 9)]
+    labels, numbers, points = (list(column) for column in zip(*plan, strict=True))
+    angles = (np.array(points) - 1) * 2 * np.pi / 7
+    monkeypatch.setattr("tests.support.mistaken_runs.design", lambda _: (labels, numbers, points, angles))
+    good, off = run([107, 1]), stops * 2 * np.pi / 7
+    bad, rows = turned(good, ("2", 3), off)
+    found = find(bad)
+    (mistake,) = found.mistakes
+    assert mistake.name == ("shifted_points" if stops == 1 else "wrong_setting")
+    turns = (found.corrected.angle_rad - good.angle_rad - off * rows) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=0.1 * ARCSEC / (2 * np.pi))
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("off_arcsec", [20.0, 560.0])
 def test_another_zero_of_the_head_that_is_no_mark_stays_an_effect(off_arcsec):
