@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -41,6 +42,8 @@ from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings
 
 ROUNDING: Final = 2.0 * gls.LEAST_NOISE
 """Readings with noise below this fraction of the largest signal count as computed values, without outliers."""
+LEVELLED: Final = ("axis_tilt", "zero_offset")
+"""The stand angles that levelling the platform sets."""
 
 
 def calibrate(
@@ -155,6 +158,7 @@ def solve(
         notes=(
             *_notes_on_rows(posed),
             *_on_levels(problem),
+            *_on_levelling(problem),
             *notes,
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
@@ -289,6 +293,20 @@ def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
         else message("as asked")
     )
     return (message(f"{count} free position{' is' if count == 1 else 's are'} not used: {why}"),)
+
+
+def _on_levelling(problem: Problem) -> Iterator[str]:
+    """Yield a note on each installation mounted several times, because its angles count as new each time."""
+    if problem.hang is not None:  # other runs tell how the angles change
+        return
+    assumed = {s.mount for s in problem.stand if STAND_ANGLES[s.column] in LEVELLED and not s.measured}
+    for label, times in Counter(problem.conditions.mounts[mount].installation for mount in assumed).items():
+        if times > 1:
+            yield message(
+                f"the block was mounted {times} times in installation {label}, and u takes the platform as levelled "
+                f"anew each time; if it was levelled once, state axis_tilt and zero_offset {times**0.5:.3g} times as "
+                "large as they are, or u of the cross-axis terms is too small"
+            )
 
 
 def _on_levels(problem: Problem) -> tuple[str, ...]:

@@ -5,6 +5,7 @@ The reference is written here from the definition: V = R + J P J^T over all sign
 """
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -433,6 +434,8 @@ def test_angles_of_a_platform_levelled_once_are_stated_for_the_mountings():
     for times in (1.0, np.sqrt(2.0)):
         stated = STAND_U | {name: times * STAND_U[name] for name in NAMES[:2]}
         found = calibrate(readings, MODEL, stated, 9.81, noise=given)
+        told = [note for note in found.notes if "state axis_tilt and zero_offset 1.41 times" in note]
+        assert [re.search(r"2 times in installation (\w+)", note)[1] for note in told] == ["1", "2"]
         once = found.covariance.copy()
         for column, name in enumerate(NAMES[:2]):
             for label in "12":
