@@ -304,7 +304,7 @@ def _on_levelling(problem: Problem) -> Iterator[str]:
         if times > 1:
             yield message(
                 f"the block was mounted {times} times in installation {label}, and u takes the platform as levelled "
-                f"anew each time; if it was levelled once, state axis_tilt and zero_offset {times**0.5:.3g} times as "
+                f"again each time; if it was levelled once, state axis_tilt and zero_offset {times**0.5:.3g} times as "
                 "large as they are, or u of the cross-axis terms is too small"
             )
 
