@@ -303,9 +303,9 @@ def _on_levelling(problem: Problem) -> Iterator[str]:
     for label, times in Counter(problem.conditions.mounts[mount].installation for mount in assumed).items():
         if times > 1:
             yield message(
-                f"the block was mounted {times} times in installation {label}, and u takes the platform as levelled "
-                f"again each time; if it was levelled once, state axis_tilt and zero_offset {times**0.5:.3g} times as "
-                "large as they are, or u of the cross-axis terms is too small"
+                f"the block was mounted {times} times in installation {label}, and u takes the platform as "
+                "levelled again each time; if it was levelled once, state axis_tilt and zero_offset "
+                f"{times**0.5:.3g} times as large as they are, or u of the cross-axis terms is too small"
             )
 
 
