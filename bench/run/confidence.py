@@ -17,7 +17,7 @@ STOP_ALARM: Final = 1e-6
 CLEARLY: Final = 5.0
 """A mistake stops the run only if the misfit, V, is at least this multiple of the largest unexplained one."""
 BEYOND_EFFECTS_G: Final = 0.1
-"""Larger unexplained misfits are no effect of the block, but a reading gone wrong: they prevent no stop."""
+"""Largest misfit that an effect of the block may cause; larger unexplained ones do not count for `CLEARLY`."""
 
 
 class Confidence:

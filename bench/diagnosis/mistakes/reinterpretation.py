@@ -341,7 +341,7 @@ def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
         several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 5).tolist()
         offs_deg |= {sign * off for off in several for sign in (1.0, -1.0)}
         offs_deg -= {stop_deg, -stop_deg}  # `_shifted` has these
-    if scope.pass_number is None:  # 180° is almost all signals reversed, as by a data sheet of other signs
+    if scope.pass_number is None:  # in a mounting or run, 180° looks like all signals reversed
         offs_deg.discard(180.0)
     for off in sorted(offs_deg, key=lambda off: (abs(off), off)):
         angle = np.where(scope.mask, table.angle_rad + np.radians(off), table.angle_rad)
