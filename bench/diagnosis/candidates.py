@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -109,8 +109,9 @@ class Variant(NamedTuple):
     """One form that a family may take: its channels, its mountings, and its shape (names and SI values).
 
     `columns` are indices in `Candidates.columns`: first of amplitudes (`sizes`), then of `starts` unknown
-    states in which the effect begins (`Parameter.start_of`). For an unnamed family, `where` says where it
-    acts, and `term` is its formula, if any.
+    states in which the effect begins (`Parameter.start_of`). If the amplitudes are the same in all channels,
+    `own` are the columns of this form with a value for each channel. For an unnamed family, `where` says where
+    it acts, and `term` is its formula, if any.
     """
 
     family: str
@@ -121,6 +122,7 @@ class Variant(NamedTuple):
     where: str = ""
     term: DictionaryTerm | None = None
     starts: int = 0
+    own: tuple[int, ...] = ()
 
     @property
     def sizes(self) -> tuple[int, ...]:
@@ -129,8 +131,13 @@ class Variant(NamedTuple):
 
     @property
     def plain(self) -> Variant:
-        """The variant without the starting states, as if each mounting began in equilibrium."""
-        return self._replace(columns=self.sizes, starts=0)
+        """The variant with a value for each channel, without starting states: each mounting is in equilibrium."""
+        return self._replace(columns=self.own or self.sizes, starts=0, own=())
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether the variant has no starting states, and a value for each channel."""
+        return not self.starts and not self.own
 
     @property
     def named(self) -> bool:
@@ -168,6 +175,11 @@ class Candidates:
         share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
         share[[name in SINGLE for name in self.families]] *= RARE
         self.log_prior = np.log(share / share.sum())
+
+    @cached_property
+    def equal(self) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
+        """The columns of each variant with equal amplitudes in all channels, and those with a value for each."""
+        return tuple((v.columns, v.own) for v in self.variants if v.own)
 
     def of_family(self, family: str) -> list[int]:
         """Return the indices in `variants` of all variants of a family."""
@@ -403,11 +415,26 @@ def _add_form(
             if columns and (not per_channel or all(any((n, c) in index for n in names) for c in channels)):
                 variant = Variant(effect.name, columns, channels, mounts, shape)
                 collector.variants.append(variant)
+                if per_channel and len(channels) == 3 and not mounts:
+                    _add_equal(collector, variant, names)
                 started = tuple(i for c in channels for i in starts.get(c, ()))
                 if started:
                     collector.variants.append(
                         variant._replace(columns=columns + started, starts=len(started))
                     )
+
+
+def _add_equal(collector: Collector, variant: Variant, names: Sequence[str]) -> None:
+    """Add the variant with the same amplitudes in all channels, as accelerometers of one type are alike.
+
+    Without it, an effect with one parameter common to all channels would win against three equal parameters.
+    """
+    equal = []
+    for name in names:
+        of_name = [i for i in variant.columns if collector.kinds[i].parameter == name]
+        column = np.sum([collector.columns[i] for i in of_name], axis=0)
+        equal.append(collector.add(column, Column(name, None), collector.scale[of_name[0]]))
+    collector.variants.append(variant._replace(columns=tuple(equal), own=variant.columns))
 
 
 def _starts(

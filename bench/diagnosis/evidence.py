@@ -165,9 +165,11 @@ class Search:
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
-        """The variants that have none of the known columns, grouped by their number of columns."""
+        """The variants that contain none of the known columns, grouped by their number of columns."""
         taken = np.zeros(self.whitened.candidates.columns.shape[1], dtype=bool)
         taken[list(self.known)] = True
+        for equal, own in self.whitened.candidates.equal if self.known else ():
+            taken[list(equal)] |= taken[list(own)].any()
         groups = []
         for members, columns, blocks in self.whitened.blocks:
             free = ~taken[columns].any(axis=1)

@@ -286,7 +286,7 @@ def _tell(
     for found, mine in naming.sizes():
         variants = [candidates.variants[i] for i in candidates.of_family(found.variant.family)]
         used = sorted({column for one in variants for column in one.sizes})
-        forms = [np.searchsorted(used, one.sizes) for one in variants if not one.starts]
+        forms = [np.searchsorted(used, one.sizes) for one in variants if one.is_plain]
         signature = candidates.columns[:, list(found.variant.sizes)] @ amplitudes[mine]
         columns = np.column_stack([signature, candidates.columns[:, used]])
         whole, left = _left_by_forms(linear, noise, columns, forms, every)

@@ -175,7 +175,8 @@ class Scored:
             best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
         # equilibrium at the start is an assumption, with which u would be too small
         started = [i for i in rivals if variants[i].starts and variants[i].plain == variants[best].plain]
-        return variants[started[0] if started else best]
+        chosen = variants[started[0] if started else best]
+        return chosen.plain if chosen.own else chosen
 
     def explained(self, variant: Variant) -> float:
         """Return the decrease of chi-square when a form joins the model."""
@@ -391,7 +392,7 @@ def _aliases(scored: Scored, variant: Variant, enough: float, most: float = BEYO
         taken = np.sum(along**2 / (values + least), axis=1)
         for place in np.flatnonzero(taken > enough):
             one = variants[group.members[place]]
-            if one.named and not one.starts:
+            if one.named and one.is_plain:
                 rank = int(np.count_nonzero(values[place] > least))
                 fewest[one.family] = min(rank, fewest.get(one.family, rank))
     return fewest

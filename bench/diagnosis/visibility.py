@@ -36,7 +36,7 @@ def detectable(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str
     for group in Search.beside(whitened, ()).groups:
         largest = group.values[ratio].max(axis=1)
         for number, seen in zip(group.members.tolist(), largest.tolist(), strict=True):
-            if variants[number].named and not variants[number].starts:
+            if variants[number].named and variants[number].is_plain:
                 square[variants[number].family] = max(square[variants[number].family], seen)
     half = half_power(whitened, threshold.value)
     return {name: half / seen**0.5 if seen > NEGLIGIBLE else float("inf") for name, seen in square.items()}
@@ -164,7 +164,7 @@ def form_of(candidates: Candidates, variant: Variant) -> Form:
 
 def forms_of(candidates: Candidates, family: str) -> tuple[Form, ...]:
     """Return every form that a family has among the candidates."""
-    return tuple(form_of(candidates, v) for v in candidates.variants if v.family == family)
+    return tuple(form_of(candidates, v) for v in candidates.variants if v.family == family and v.is_plain)
 
 
 def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, ...]:

@@ -101,6 +101,18 @@ def test_of_aliases_of_any_size_the_true_one_is_in_the_set():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("k2", "most"), [(0.39e-3, 0.6), (0.9e-3, 0.1)])
+def test_the_same_size_in_all_accelerometers_is_no_evidence_for_the_voltmeters(k2, most):
+    """Of 0.39 mg/g^2 in each accelerometer, a voltmeter would have 117 plausible sizes of its nonlinearity."""
+    readings = paper_run(np.random.default_rng(24), noise_v=1e-4)
+    force = (readings.signal - U0) @ np.linalg.inv(K).T
+    (effect,) = examine(replace(readings, signal=readings.signal + k2 * force**2 * np.diag(K))).effects
+    assert (effect.name, effect.channels) == ("quadratic_nonlinearity", ("x", "y", "z"))
+    assert [one.value for one in effect.parameters] == pytest.approx([k2 * 1e6] * 3, rel=0.2)
+    assert sum(one.probability for one in effect.odds if one.name == "voltmeter_nonlinearity") < most
+
+
+@pytest.mark.slow
 def test_the_same_size_in_all_accelerometers_is_no_evidence_for_a_form():
     readings = paper_run(np.random.default_rng(24), noise_v=1e-4)
     force = (readings.signal - U0) @ np.linalg.inv(K).T
