@@ -97,15 +97,25 @@ class GrossSearch:
             return None  # no number of suppositions makes one of them likely
         maps = suppositions(table, units=self.nominal is not None)
         found = self._likeliest(table, maps, table.every)
-        if found is None:
-            return None
-        corrected = OrientedRows.of(found.supposition.correct(readings, table))
-        if not self._may_be_wrong(corrected, corrected.every, _enough(maps)):
+        if found is None or self._explains(found, readings, table, maps):
             return found
+        # with other mistakes, half a turn in a mounting looks like a part of all signals reversed
+        maps = [one for one in maps if not one.turns_half]
+        if found.supposition.turns_half:
+            found = self._likeliest(table, maps, table.every)
+            if found is None or self._explains(found, readings, table, maps):
+                return found
         others = [self._likeliest(table, maps, table.mount != k) for k in range(len(table.mounts))]
         after = {one: self._with_second(one, readings, table) for one in (found, *filter(None, others))}
         better = [one for one, score in after.items() if score - after[found] > _enough(maps)]
         return min(better, key=lambda one: (len(one.equal), -after[one]), default=found)
+
+    def _explains(
+        self, found: GrossMistake, readings: Readings, table: OrientedRows, maps: Sequence[Reinterpretation]
+    ) -> bool:
+        """Return whether no further mistake may be in the corrected copy."""
+        corrected = OrientedRows.of(found.supposition.correct(readings, table))
+        return not self._may_be_wrong(corrected, corrected.every, _enough(maps))
 
     def find_at_verification(self, readings: Readings) -> GrossMistake | None:
         """Return the wiring mistake at verification points whose correction best gives |a| = 1 g.

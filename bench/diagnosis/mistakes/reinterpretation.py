@@ -106,6 +106,7 @@ class Reinterpretation:
     `label` and `angle_rad` (n,) are the true installations and head angles. The true signals of reading i stand in
     row `source[i]` of the record (-1: they were not recorded). `turns` maps installations to rotations (3, 3) from
     stated to true block axes. `matrix` (3, 3) converts recorded to true signals in `scope`. `words` is a sentence.
+    `turns_half` means that the head was half a turn off in a whole mounting.
     """
 
     name: str
@@ -116,6 +117,7 @@ class Reinterpretation:
     angle_rad: Floats | None = None
     source: Ints | None = None
     turns: Mapping[str, Floats] = field(default_factory=dict)
+    turns_half: bool = False
 
     @property
     def factor(self) -> Floats:
@@ -341,12 +343,13 @@ def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
         several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 5).tolist()
         offs_deg |= {sign * off for off in several for sign in (1.0, -1.0)}
         offs_deg -= {stop_deg, -stop_deg}  # `_shifted` has these
-    if scope.pass_number is None:  # in a mounting or run, 180° looks like all signals reversed
+    if scope.whole:  # 180° in all readings looks like all signals reversed
         offs_deg.discard(180.0)
     for off in sorted(offs_deg, key=lambda off: (abs(off), off)):
         angle = np.where(scope.mask, table.angle_rad + np.radians(off), table.angle_rad)
         words = head_was_off(off, f" {scope}")
-        yield Reinterpretation(MistakeName.WRONG_SETTING, scope, words, angle_rad=angle)
+        half = off == 180.0 and scope.pass_number is None
+        yield Reinterpretation(MistakeName.WRONG_SETTING, scope, words, angle_rad=angle, turns_half=half)
 
 
 def head_was_off(off_deg: float, where: str = "") -> str:

@@ -74,6 +74,18 @@ def test_a_head_that_was_stops_off_in_a_pass_is_put_right(off_deg, everywhere):
     assert mistake.misfit_after < 1.25
 
 
+@pytest.mark.parametrize("label", ["1", "2"])
+def test_a_head_that_was_half_a_turn_off_in_a_mounting_is_one_mistake(label):
+    """The other explanation, a block turned by 180 deg, has the same forces."""
+    good = run([108, int(label)])
+    bad = replace(good, angle_rad=good.angle_rad + np.pi * (good.installation == label))
+    (mistake,) = (found := find(bad)).mistakes
+    assert (mistake.name, mistake.installations) == ("wrong_setting", (label,))
+    assert mistake.cannot_tell_from == ("other_mounting",)
+    turns = (found.corrected.angle_rad - good.angle_rad) / (2 * np.pi)
+    np.testing.assert_allclose(turns, np.round(turns), atol=1e-12)
+
+
 @pytest.mark.parametrize("stops", [1, -3])
 def test_stops_of_a_seventh_of_a_turn_are_put_right_to_the_second(monkeypatch, stops):
     """A seventh of a turn is 17 arcsec less than the nearest minute of arc."""
