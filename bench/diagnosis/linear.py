@@ -31,21 +31,27 @@ class Orientation:
     """The rotation matrix (3, 3) from platform to block axes at verification points, from the signals.
 
     It differs from the bench file by the angle `off_rad`, rad, about the unit vector `axis` (3,) in block axes.
-    `contradicts` says whether this angle is larger than the u of the stand angles permits.
+    `contradicts` says whether this angle is larger than the u of the stand angles permits. `head_rad` is the error
+    of the head angle that would have the same effect; None if there is none.
     """
 
     block_from_platform: Floats
     off_rad: float
     axis: Floats
     contradicts: bool
+    head_rad: float | None
 
     def in_words(self) -> str:
         """Return a sentence that says how far the orientation is from the bench file, and what to correct."""
         axis = ", ".join(f"{part:+.2f}" for part in self.axis)
+        remedy = "correct 'installations: V', or name another file with --bench"
+        if self.head_rad is not None:
+            off = f"{np.degrees(self.head_rad):+.3g}° from where it says at these points"
+            remedy = f"if the head stood {off}, correct their angles; otherwise {remedy}"
         return (
             f"the verification points contradict the bench file: by their signals the block is turned by "
-            f"{np.degrees(self.off_rad):.2g}° about ({axis}) of its axes from the orientation that installation V "
-            "states; correct 'installations: V', or name another file with --bench"
+            f"{np.degrees(self.off_rad):.3g}° about ({axis}) of its axes from the orientation that installation V "
+            f"states; {remedy}"
         )
 
 
@@ -71,8 +77,12 @@ def orientation_of(
     stated = model.installations[VERIFICATION].block_from_platform
     rotation = Rotation.from_matrix(turn @ stated.T).as_rotvec()
     off = float(np.linalg.norm(rotation))
+    axis = rotation / max(off, 1e-300)
+    quarter = specific_force_on_platform(np.array([0.0, np.pi / 2]), np.zeros((2, len(STAND_ANGLES))))
+    about_head = float(axis @ stated @ np.cross(*quarter))
+    head = off * np.sign(about_head) if abs(about_head) > np.cos(ONE_DIRECTION) else None
     limits = float(np.linalg.norm([stand_u.get(name, 0.0) for name in STAND_ANGLES]))
-    return Orientation(turn, off, rotation / max(off, 1e-300), off > max(ONE_DIRECTION, FAR * limits))
+    return Orientation(turn, off, axis, off > max(ONE_DIRECTION, FAR * limits), head)
 
 
 MODULUS: Final = 3

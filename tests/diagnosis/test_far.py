@@ -133,3 +133,18 @@ def test_one_direction_off_a_line_in_nine_determines_the_orientation_at_the_veri
         orientation_of(MODEL, SimpleNamespace(**{**vars(seen), "angle_rad": angle_rad * 0.0}), force, {})
         is None
     )
+    assert found.head_rad is None  # the turn is about z of the block; the head's axis is between x and y
+
+
+@pytest.mark.parametrize("off_deg", [90.0, -30.0, 180.0])
+def test_a_head_that_was_off_at_the_verification_points_is_in_the_note(off_deg):
+    angle_rad = np.radians([0.0, 45.0, 90.0, 200.0])
+    still = np.zeros((4, len(STAND_ANGLES)))
+    platform = specific_force_on_platform(angle_rad + np.radians(off_deg), still)
+    seen = SimpleNamespace(installation=np.full(4, "V"), angle_rad=angle_rad)
+    force = platform @ MODEL.installations["V"].block_from_platform.T
+    found = orientation_of(MODEL, seen, force, {})
+    assert found.contradicts
+    assert np.degrees(found.head_rad) % 360 == pytest.approx(off_deg % 360)
+    assert f"turned by {abs(off_deg):.0f}° about" in found.in_words()
+    assert f"{abs(off_deg):.0f}° from where it says at these points" in found.in_words()
