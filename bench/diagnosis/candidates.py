@@ -11,15 +11,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
-from bench.base.languages import message
-from bench.config.bench_file.file import BenchFile
 from bench.diagnosis.levels import ALIKE, MARK_DEG
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import Whitener
 from bench.diagnosis.residual_dictionary import SIZE_NAMES, DictionaryTerm, dictionary
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Parameter, Stage
 from bench.model.effects.base import pass_label
-from bench.readings.columns import METER_C, ROOM_C, meter_c
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings
 
 Cell = tuple[str, int]
@@ -92,6 +89,8 @@ RARE: Final = 1e-3
 """Prior odds of a single deviating reading against another unnamed pattern: tails of the noise look alike."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
+EQUAL: Final = 0.2
+"""Prior odds that an effect has the same size in all channels, against any other form of it."""
 
 
 class Column(NamedTuple):
@@ -135,6 +134,13 @@ class Variant(NamedTuple):
         return self._replace(columns=self.own or self.sizes, starts=0, own=())
 
     @property
+    def stage(self) -> Stage | None:
+        """The stage of the model at which the variant acts; None for an unnamed pattern without a formula."""
+        if self.term is not None:
+            return self.term.stage
+        return CATALOGUE[self.family].stage if self.named else None
+
+    @property
     def is_plain(self) -> bool:
         """Whether the variant has no starting states, and a value for each channel."""
         return not self.starts and not self.own
@@ -151,8 +157,9 @@ class Candidates:
 
     `columns` (N, P) are the changes of the rows by one plausible size of each parameter, which `kinds`
     describes; `scale` (P,) are these sizes in SI, 1 for unnamed families. `by_family` has the indices of the
-    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `log_prior`
-    (families,) is ln of the probability that a family is the one that is missing.
+    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `share`, in this order,
+    are their prior probabilities, given the family. `log_prior` (families,) is ln of the probability that a family
+    is the one that is missing.
     """
 
     columns: Floats
@@ -162,6 +169,7 @@ class Candidates:
     families: tuple[str, ...] = field(init=False)
     by_family: Ints = field(init=False)
     family_starts: Ints = field(init=False)
+    share: Floats = field(init=False)
     log_prior: Floats = field(init=False)
 
     def __post_init__(self) -> None:
@@ -171,6 +179,8 @@ class Candidates:
         member = np.array([place[v.family] for v in self.variants])
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
+        odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
+        self.share = (odds / np.bincount(member, odds)[member])[self.by_family]
         kinds = [2 if name in CATALOGUE else 1 if name in UNNAMED else 0 for name in self.families]
         share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
         share[[name in SINGLE for name in self.families]] *= RARE
@@ -536,76 +546,3 @@ def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
     keys = list(zip(*labels, strict=True))
     for key in dict.fromkeys(itertools.compress(keys, mine)):
         yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
-
-
-OF_METER_WARMTH: Final = ("voltmeter_thermal_gain", "voltmeter_thermal_offset")
-NO_METER_C: Final = f"the readings have no column {METER_C} or {ROOM_C}"
-OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
-
-
-@dataclass(frozen=True)
-class KnownBench:
-    """Properties of a bench that exclude effects; a property is None if it is unknown.
-
-    `own_meters`: each channel has its own voltmeter. `fixed_ranges`: no voltmeter changes its range.
-    `scale_on_axis`: the scale of the head is on the axis of the head itself, without a gear.
-    """
-
-    own_meters: bool | None = None
-    fixed_ranges: bool | None = None
-    scale_on_axis: bool | None = None
-
-    @classmethod
-    def of(cls, bench: BenchFile) -> KnownBench:
-        """Return the properties of the bench in a bench file; voltmeter ranges are always fixed there."""
-        meters = bench.instruments.voltmeters
-        return cls(
-            own_meters=all(len(meter.channels) == 1 for meter in meters),
-            fixed_ranges=True,
-            scale_on_axis=bench.instruments.head.scale_on_axis,
-        )
-
-    def absent(self, readings: Readings) -> dict[str, str]:
-        """Return the effects that this bench or these readings cannot have, with reasons.
-
-        Voltmeter ranges recorded in the readings take precedence over `fixed_ranges`.
-        """
-        fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
-        recorded = _ranges(readings)
-        if recorded:
-            fixed, said = len(recorded) == 1, "all readings were taken on one range"
-        why = {
-            "range_offset": said if fixed else "",
-            "channel_crosstalk": message("each channel has a voltmeter of its own")
-            if self.own_meters
-            else "",
-            "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
-            "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
-            **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),
-            **dict.fromkeys(OF_RECORDS, "searched only in records at a known input"),
-        }
-        return {name: why[name] for name in CATALOGUE if why.get(name)}
-
-    def not_judged(self, readings: Readings) -> str:
-        """Return a sentence on the effects searched only because the bench is unknown; "" if there are none."""
-        unknown = {
-            "range_offset": self.fixed_ranges is None and not _ranges(readings),
-            "channel_crosstalk": self.own_meters is None,
-            "meters_exchanged": self.own_meters is None,
-            "backlash": self.scale_on_axis is None,
-        }
-        names = [name for name in CATALOGUE if unknown.get(name)]
-        if not names:
-            return ""
-        return (
-            f"no bench file was named, so the search includes {', '.join(names)}, which not every bench can have; "
-            "--bench FILE states its meters and head"
-        )
-
-
-def _ranges(readings: Readings) -> set[str]:
-    return {str(text).strip() for text in readings.extra.get("range_v", ())} - {""}
-
-
-NOTHING_KNOWN = KnownBench()
-"""The properties of an unknown bench: no effect is ruled out."""

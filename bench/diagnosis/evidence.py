@@ -27,12 +27,12 @@ from scipy.special import logsumexp
 from bench.base.arrays import Floats, Ints
 from bench.base.computing import tracked
 from bench.base.files import write_whole
-from bench.diagnosis.candidates import KIND_PRIOR, Candidates
+from bench.diagnosis.candidates import EQUAL, KIND_PRIOR, Candidates
 from bench.diagnosis.levels import CHUNK, FARTHEST, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
-from bench.model.effects import FormulaEffect
+from bench.model.effects import FormulaEffect, Stage
 
 SIZES: Final = (1.0, 4.0, 20.0, 80.0)
 """Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger, extreme.
@@ -41,6 +41,8 @@ Without the widest, the tail of the prior would decide between aliases that need
 """
 LOG_SIZE_WEIGHTS: Final = tuple(float(np.log(w)) for w in (0.6, 0.28, 0.1, 0.02))
 """ln of the prior probability of each of `SIZES`: larger effects are rarer."""
+LOG_SIZE_WEIGHTS_OF_METER: Final = tuple(float(np.log(w)) for w in (0.61, 0.28, 0.1099, 1e-4))
+"""The same for effects of the voltmeters, which are calibrated to some ppm, so that none is extreme."""
 
 KNOWN_SIZE: Final = SIZES[-2]
 """Prior size, in plausible sizes, of an effect already in the model: so wide that data decide."""
@@ -91,6 +93,14 @@ class Whitened:
         """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
         at = slice(ratio, ratio + 1)
         return np.asarray(self.products.among(np.array(columns, dtype=np.int64), at)[0])
+
+    @cached_property
+    def log_weights(self) -> Floats:
+        """ln of the prior probability of each of `SIZES` for each variant, (sizes, variants)."""
+        meter = [v.stage is Stage.VOLTMETER_READING for v in self.candidates.variants]
+        return np.where(
+            meter, np.array(LOG_SIZE_WEIGHTS_OF_METER)[:, None], np.array(LOG_SIZE_WEIGHTS)[:, None]
+        )
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
@@ -225,7 +235,7 @@ class Search:
 
     def _score(self, left: Data) -> Scores:
         grid = self.whitened.grid
-        base = grid.log_prior + grid.log_det + self.log_det
+        base, log_weights = grid.log_prior + grid.log_det + self.log_det, self.whitened.log_weights
         of_null = base[:, None] + grid.log_likelihood(left.square)
         null = _log_sum(of_null.copy())
         # a variant with a column that the model already has
@@ -236,7 +246,7 @@ class Search:
             squares = group.squares(left)
             # in place: a new array for each step would take as long as the logarithms
             logs = np.empty((len(SIZES), *np.delete(squares.shape, 2)))
-            for rest, size, log_weight in zip(logs, SIZES, LOG_SIZE_WEIGHTS, strict=True):
+            for rest, size, log_weight in zip(logs, SIZES, log_weights[:, group.members], strict=True):
                 weight = 1.0 / (group.values + 1.0 / size**2)
                 np.matmul(weight[:, :, None], squares, out=rest[:, :, None])
                 np.subtract(left.square[:, None], rest, out=rest)
@@ -265,8 +275,8 @@ class Scores:
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
         largest = np.maximum.reduceat(ordered, starts, axis=0)
-        parts = np.exp(ordered - np.repeat(largest, counts, axis=0))
-        mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0) / counts[:, None])
+        parts = candidates.share[:, None] * np.exp(ordered - np.repeat(largest, counts, axis=0))
+        mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0))
         return mean
 
 
@@ -436,7 +446,8 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
         np.round(np.linalg.norm(linear.random, axis=0) / scale, 6).tolist(),
         repr([(name, effect.parameters) for name, effect in CATALOGUE.items()]),
         whitened.candidates.families,
-        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, OFTEN, SIZES, LOG_SIZE_WEIGHTS, RATIOS, 0.1),
+        (NULLS, SEED, FALSE_ALARMS, KIND_PRIOR, OFTEN, SIZES, RATIOS, 0.1),
+        (LOG_SIZE_WEIGHTS, LOG_SIZE_WEIGHTS_OF_METER, EQUAL),
         [0, 0, 0],  # sizes of channels: the files of a version that distinguished them stay valid
     ]
     if readings.run.any():

@@ -13,9 +13,10 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError, DeviatingReadings
 from bench.config.bench_file.file import BenchFile
-from bench.diagnosis.candidates import NOTHING_KNOWN, Candidates, KnownBench, Variant, is_form, with_terms
+from bench.diagnosis.candidates import Candidates, Variant, is_form, with_terms
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
+from bench.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle

@@ -90,6 +90,8 @@ def register(linear: LinearSystem, limit: evidence.Threshold) -> Registration:
     hashed = asdict(settled) | {
         "catalogue": {name: [asdict(p) for p in effect.parameters] for name, effect in CATALOGUE.items()},
         "size_weights": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS],
+        "size_weights_of_meter": [round(w, 12) for w in evidence.LOG_SIZE_WEIGHTS_OF_METER],
+        "equal": candidates.EQUAL,
     }
     if evidence.formulas():
         hashed["formulas"] = evidence.formulas()

@@ -13,9 +13,9 @@ import numpy as np
 from docs.generators.markdown import code, table
 
 NAMED: Final = (
-    "candidates.KIND_PRIOR", "candidates.RARE", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS",
-    "evidence.KNOWN_SIZE", "evidence.NULLS", "noise_grid.RATIOS", "noise_grid.RATIO_SPREAD",
-    "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "posterior.PART",
+    "candidates.KIND_PRIOR", "candidates.RARE", "candidates.EQUAL", "evidence.SIZES", "evidence.LOG_SIZE_WEIGHTS",
+    "evidence.LOG_SIZE_WEIGHTS_OF_METER", "evidence.KNOWN_SIZE", "evidence.NULLS", "noise_grid.RATIOS",
+    "noise_grid.RATIO_SPREAD", "noise_kinds.LOG_PRIOR", "noise_kinds.TAIL_DOF", "posterior.PART",
 )  # fmt: skip
 
 

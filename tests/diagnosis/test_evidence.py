@@ -43,14 +43,17 @@ def dense_log_likelihood(one, extra, ratio_rad_per_v):
     )
 
 
-def dense_evidence(one, columns, known=()):
+SIZE_WEIGHTS = (0.6, 0.28, 0.1, 0.02)
+
+
+def dense_evidence(one, columns, known=(), weights=SIZE_WEIGHTS):
     grid = one.whitened.grid
     scaled = one.candidates.columns / NOISE_V
     base = [KNOWN_SIZE * scaled[:, list(known)]] if known else []
     null, variant = [], []
     for prior, ratio in zip(grid.log_prior, grid.setting_rad_per_noise, strict=True):
         null.append(prior + dense_log_likelihood(one, base, ratio))
-        for size, weight in zip(SIZES, (0.6, 0.28, 0.1, 0.02), strict=True):
+        for size, weight in zip(SIZES, weights, strict=True):
             extra = [*base, size * scaled[:, list(columns)]]
             variant.append(prior + np.log(weight) + dense_log_likelihood(one, extra, ratio))
     return logsumexp(variant) - logsumexp(null)
@@ -68,6 +71,31 @@ def test_evidence_is_the_ratio_of_marginal_likelihoods(one, family):
     number = next(i for i, v in enumerate(one.candidates.variants) if v.family == family)
     expected = dense_evidence(one, one.candidates.variants[number].columns)
     assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_an_extreme_size_of_an_effect_of_the_voltmeters_is_improbable(one):
+    scores = Search.beside(one.whitened, ()).score(one.whitened.reduce(one.linear.response[:, None]))
+    number = next(i for i, v in enumerate(one.candidates.variants) if v.family == "voltmeter_drift")
+    weights = (0.61, 0.28, 0.1099, 0.0001)
+    expected = dense_evidence(one, one.candidates.variants[number].columns, weights=weights)
+    assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
+
+
+def test_the_same_size_in_all_channels_has_a_fifth_of_the_odds_of_another_form(one):
+    """Seven sets of channels and the form with equal sizes, which is about one parameter, not three."""
+    data = one.whitened.reduce(one.linear.response[:, None])
+    scores = Search.beside(one.whitened, ()).score(data)
+    numbers = one.candidates.of_family("quadratic_nonlinearity")
+    (equal,) = (i for i in numbers if one.candidates.variants[i].own)
+    apart = one.candidates.variants[next(i for i in numbers if len(one.candidates.variants[i].columns) == 3)]
+    assert apart == one.candidates.variants[equal].plain
+    (column,) = one.candidates.variants[equal].columns
+    every = np.sum(one.candidates.columns[:, list(apart.columns)], axis=1)
+    np.testing.assert_allclose(one.candidates.columns[:, column], every)
+    weight = np.array([0.2 if i == equal else 1.0 for i in numbers])
+    expected = logsumexp(scores.variants[numbers, 0], b=weight / weight.sum())
+    family = one.candidates.families.index("quadratic_nonlinearity")
+    assert scores.families(one.candidates)[family, 0] == pytest.approx(expected, abs=1e-9)
 
 
 def test_the_odds_of_names_in_a_place_are_those_of_bayes(one):

@@ -8,8 +8,9 @@ import pytest
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis import ThresholdCache, diagnose
-from bench.diagnosis.candidates import NOTHING_KNOWN, KnownBench, make_candidates
+from bench.diagnosis.candidates import make_candidates
 from bench.diagnosis.evidence import make_threshold
+from bench.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.result import assumed
 from bench.diagnosis.visibility import looking_like

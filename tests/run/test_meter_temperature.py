@@ -9,7 +9,7 @@ import pytest
 from bench.base.yaml_files import FileMistakes
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
-from bench.diagnosis.candidates import KnownBench
+from bench.diagnosis.known_bench import KnownBench
 from bench.readings.csv import read_csv
 from bench.run.folder import Run
 from bench.run.instruments import (
