@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -335,6 +335,30 @@ def walk_since(time_s: Floats, later_s: Floats) -> Floats:
     about = np.minimum.outer(then, then) - mean[:, None] - mean + own.mean()
     size = float(np.mean(np.diag(own)) - own.mean())
     return np.asarray(about / size) if size > 0 else np.zeros((len(later_s),) * 2)
+
+
+def shared_later(
+    components: Iterable[Component], noise: Floats, conditions: Conditions, output: Floats, by_signal: Floats
+) -> Floats:
+    """Return the covariance (v, v) of |a| at later readings by errors of the kinds that the fit found.
+
+    `noise` (3,) is that of the signals, `output` (v, 3) the signals minus U0, `by_signal` (v, 3) the derivatives
+    of |a|. An error of the head's angle leaves |a| unchanged, the noise contains the rounding, and a drift is left
+    out.
+    """
+    passes = _labels(conditions.mount, conditions.pass_number)
+    groups = {
+        "setting": repeat_groups(conditions), "visit": _visits(conditions), "pass": passes, PASS_GAIN: passes,
+    }  # fmt: skip
+    covariance = np.zeros((len(output),) * 2)
+    for one in components:
+        if one.what not in groups:
+            continue
+        size = one.size * widening(one.dof) * (noise / rms(noise) if one.channels == "all" else np.ones(3))
+        concerned = np.array([one.channels in ("all", c) for c in CHANNELS])
+        moved = by_signal * size * concerned * (output if one.what == PASS_GAIN else 1.0)
+        covariance += np.equal.outer(groups[one.what], groups[one.what]) * (moved @ moved.T)
+    return covariance
 
 
 # --- the fit with them ------------------------------------------------------------------------------
