@@ -13,6 +13,7 @@ from datetime import date
 from typing import Final
 
 import numpy as np
+from scipy import special
 
 from bench.base.arrays import ARCSEC, Floats, Ints
 from bench.base.languages import message
@@ -23,7 +24,7 @@ from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
 from bench.calibration.components import shared_later, walk_since
-from bench.calibration.result import Calibration, Component, SourceOfError
+from bench.calibration.result import Calibration, Component, SourceOfError, widening
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
@@ -207,7 +208,8 @@ def delta_g_elsewhere(
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
-    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
+    own = variance_at_points(readings, noise)
+    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum(by_signal**2 * own, axis=1))
     whole += _shared_at(rows, shared, noise, readings, block, by_signal)
     if wander is not None:
         # as in a comparison: a random walk is sqrt(2) times its rms from its mean at the start of a run
@@ -229,6 +231,37 @@ def delta_g_elsewhere(
     return np.asarray(whole)
 
 
+NOISIER_P: Final = 0.01
+"""P-value below which the samples at the verification points scatter more than those of the calibration."""
+
+
+def scatter_of_samples(readings: Readings) -> tuple[Floats, float]:
+    """Return the variance (3,) of a mean of samples, by their scatter, and its degrees of freedom (0: unknown)."""
+    known = np.isfinite(readings.signal_sd).all(axis=1) & (readings.samples > 1)
+    free = readings.samples[known] - 1.0
+    of_mean = readings.signal_sd[known] ** 2 / readings.samples[known, None]
+    return np.asarray((free @ of_mean) / max(float(free.sum()), 1.0)), float(free.sum())
+
+
+def variance_at_points(readings: Readings, noise: Floats, fitted: Readings | None = None) -> Floats:
+    """Return the variance (3,) of a signal at the verification points, by the `noise` (3,) of the calibration.
+
+    If the samples at the points scatter significantly more than those of the `fitted` readings (None: than the
+    noise), the excess is added: they may be fewer, shorter or coarser.
+    """
+    rows = readings.verification()
+    scatter, own_dof = scatter_of_samples(rows)
+    known, dof = (noise**2, 0.0) if fitted is None else scatter_of_samples(fitted)
+    excess = np.zeros(3)
+    if own_dof > 0:
+        if not dof > 0:
+            known, dof = noise**2, np.inf
+        above = scatter / np.maximum(known, 1e-300)
+        p = special.chdtrc(own_dof, own_dof * above) if np.isinf(dof) else special.fdtrc(own_dof, dof, above)
+        excess = np.where(p < NOISIER_P / 3, widening(own_dof) ** 2 * scatter - known, 0.0)
+    return np.asarray(np.maximum(noise**2 + excess, rows.resolution**2 / 12.0))
+
+
 def delta_g_contributions(
     calibration: Calibration,
     readings: Readings,
@@ -247,7 +280,8 @@ def delta_g_contributions(
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
     functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
     functionals[np.arange(len(rows)), rows] += by_signal
-    noise = np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    at_points = variance_at_points(readings, calibration.noise.widened().by_channel, calibration.fitted)
+    noise = np.diag(np.sum(by_signal**2 * at_points, axis=1))
     found = {
         "noise_and_stand": by_coefficient @ calibration.covariance_readings @ by_coefficient.T,
         **{

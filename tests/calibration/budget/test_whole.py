@@ -292,3 +292,21 @@ def test_the_wander_of_the_biases_does_not_cancel_between_days(run):
     )
     u = np.sqrt(np.diag(wandered - apart))
     np.testing.assert_allclose(u, np.sqrt(2.0) * 1e-4 / 2.17, rtol=0.02)
+
+
+@pytest.mark.parametrize(("samples_sd", "u_v"), [(3e-4, 1e-4), (9e-4, 3.2e-4)])
+def test_noisier_samples_at_the_points_are_in_u(samples_sd, u_v):
+    """Samples at the points scatter like those of the calibration, or three times as much."""
+    run = simulate_whole(np.random.default_rng(5), "noise").readings
+    at = run.installation == VERIFICATION
+    noise = Noise(1e-4, 0.0, np.inf, "given")
+    sd = np.where(at[:, None], samples_sd, 3e-4) * np.ones(3)
+    run = dataclasses.replace(run, signal_sd=sd, samples=np.full(len(run), 10))
+    found = signed(run, noise)
+    part = delta_g_contributions(found, run, BENCH, MODEL)["reading_at_the_point"]
+    np.testing.assert_allclose(np.sqrt(np.diag(part)), u_v / 2.17, rtol=0.15)
+    elsewhere = delta_g_elsewhere(
+        found.block, 0.0 * found.covariance, np.full(3, 1e-4), run, _with_meters("1 ppm", "1 uV"), MODEL,
+        same_meters=True,
+    )  # fmt: skip
+    assert np.all(np.sqrt(np.diag(elsewhere)) > 0.85 * u_v / 2.17)
