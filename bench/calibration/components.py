@@ -42,9 +42,12 @@ MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
 """Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
+AT_REST_RAD: Final = np.radians(0.01)
+"""Head angles that differ by less count as one setting: procedures turn farther, encoders hardly wander so."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
+VISIT_ANGLE: Final = "angle of a visit"
 PASS_ANGLE: Final = "angle of a pass"
 PASS_GAIN: Final = "gain of a pass"
 ROUNDED: Final = "rounding"
@@ -248,8 +251,8 @@ def _basic(fit: Fit) -> list[_Term]:
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
     """Yield the candidate components.
 
-    Setting, angle of a setting, visit, and angle of a pass have one variance for all channels; pass, gain of a
-    pass, and drift have one per channel.
+    Setting, visit, and the angles of a setting, visit and pass have one variance for all channels; pass, gain of
+    a pass, and drift have one per channel.
     """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
@@ -261,6 +264,7 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
         yield _Term(ANGLE, "all", _along(settings, fit.slope, angle, further), np.array([angle]))
     if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
         yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
+        yield _Term(VISIT_ANGLE, "all", _along(visits, fit.slope, angle, further), np.array([angle]))
     if len(np.unique(passes)) > len(conditions.mounts):
         for c in range(3):
             yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
@@ -283,9 +287,9 @@ def _labels(*of: Ints) -> Ints:
 
 
 def _visits(conditions: Conditions) -> Ints:
-    """Return the visit number of each reading (n,): a visit is an uninterrupted stay at one point of one pass."""
-    same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
-    for column in (conditions.mount, conditions.pass_number, conditions.point):
+    """Return the visit number of each reading (n,): in a visit, the head stays where it is during a pass."""
+    same = np.abs(np.diff(conditions.angle_rad)) < AT_REST_RAD
+    for column in (conditions.mount, conditions.pass_number):
         same &= column[1:] == column[:-1]
     return np.concatenate([[0], np.cumsum(~same)])
 
@@ -464,11 +468,12 @@ _SHARED_BY: Final = {
     "setting": message("the readings at a setting (installation and point) in all passes"),
     ANGLE: message("the readings at a setting (installation and point) in all passes"),
     "visit": message("the readings of one stay at a setting"),
+    VISIT_ANGLE: message("the readings of one stay at a setting"),
     "pass": message("the readings of one pass"),
     PASS_ANGLE: message("the readings of one pass"),
     PASS_GAIN: message("the readings of one pass"),
 }
-_UNITS: Final = {ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
+_UNITS: Final = {ANGLE: "rad", VISIT_ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
 
 
 def notes_on_noise(
@@ -549,7 +554,7 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
-        if what in {ANGLE, PASS_ANGLE}:
+        if what in {ANGLE, VISIT_ANGLE, PASS_ANGLE}:
             sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
         elif what == PASS_GAIN:
             by_channel = ", ".join(f"{c.channels} {two_digits(c.size * 1e6)} ppm" for c in own)
