@@ -13,7 +13,14 @@ import numpy as np
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
-from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, rounding_of, take_in
+from bench.calibration.components import (
+    SharedErrorFit,
+    heavy_tails,
+    note_on_search,
+    notes_on_noise,
+    rounding_of,
+    take_in,
+)
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
@@ -163,6 +170,7 @@ def solve(
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
             ),
+            *note_on_search(len(rows), fit.noise),
         ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         signs="" if not problem.upper else "positive" if nominal is None else "bench file",

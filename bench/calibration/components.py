@@ -521,6 +521,18 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 
+def note_on_search(readings: int, noise: Noise) -> tuple[str, ...]:
+    """Return a note if the repeats could show shared errors, but the `readings` are too many for the search."""
+    if 3 * readings <= MOST_SIGNALS or noise.source != "repeats":
+        return ()
+    return (
+        message(
+            f"above {MOST_SIGNALS // 3} readings the program does not search for errors that readings share, and "
+            "u lacks them; calibrate fewer passes to see whether there are any"
+        ),
+    )
+
+
 def note_on_excess(noise: Noise) -> tuple[str, ...]:
     """Return a note if the residuals exceed the stated noise of the bench file (one-sided p < `EXCESS_P`)."""
     of = noise.stated

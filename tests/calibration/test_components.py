@@ -187,3 +187,15 @@ def test_kinds_are_one_family_whose_channels_are_asked_together():
     drifts = [component for component in found.shared if component.what == DRIFT]
     assert [component.channels for component in drifts] == ["x", "y", "z"]
     assert len({component.p for component in drifts}) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("times", "told"), [(9, False), (10, True)])
+def test_a_search_that_is_left_out_is_told(times, told):
+    """486 readings are searched for shared errors, 540 are not."""
+    installation, pass_number, point, phi = (np.repeat(column, times) for column in design())
+    force = specific_force(installation.tolist(), phi)
+    signal = force @ K.T + U0 + np.random.default_rng(3).normal(0.0, 1e-4, force.shape)
+    numbers = times * point + np.arange(len(phi)) % times
+    run = calibrate(make_readings(installation, pass_number, numbers, phi, signal), MODEL, STAND_U, 9.81)
+    assert any("does not search for errors that readings share" in note for note in run.notes) is told
