@@ -354,6 +354,8 @@ def first_guess(
         block = first_guess_free(problem.free.signal, nominal)
         mistakes.refuse_singular(block)
         return block
+    if not len(signal):
+        require_rank(np.zeros((0, 3)))
     columns = mistakes.force_columns(problem)
     solution, left = least_squares(columns, signal)
     if not mistakes.still_channels(signal):
