@@ -304,16 +304,19 @@ def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
 
 
 def _on_levelling(problem: Problem) -> Iterator[str]:
-    """Yield a note on each installation mounted several times, because its angles count as new each time."""
+    """Yield a note on each installation with several series, because its angles count as new in each.
+
+    The readings do not say whether the block was mounted again, switched on again, or heated.
+    """
     if problem.hang is not None:  # other runs tell how the angles change
         return
     assumed = {s.mount for s in problem.stand if STAND_ANGLES[s.column] in LEVELLED and not s.measured}
     for label, times in Counter(problem.conditions.mounts[mount].installation for mount in assumed).items():
         if times > 1:
             yield message(
-                f"the block was mounted {times} times in installation {label}, and u takes the platform as "
-                "levelled again each time; if it was levelled once, state axis_tilt and zero_offset "
-                f"{times**0.5:.3g} times as large as they are, or u of the cross-axis terms is too small"
+                f"installation {label} has {times} series, and u takes each as levelled and mounted again; else u "
+                f"of the cross-axis terms is too small: state {times**0.5:.3g} times axis_tilt and zero_offset if "
+                "the platform was levelled once, also mounting_error and mounting_roll if the block stayed mounted"
             )
 
 
