@@ -13,7 +13,14 @@ import numpy as np
 from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
-from bench.calibration.components import SharedErrorFit, heavy_tails, notes_on_noise, rounding_of, take_in
+from bench.calibration.components import (
+    SharedErrorFit,
+    heavy_tails,
+    note_on_search,
+    notes_on_noise,
+    rounding_of,
+    take_in,
+)
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
@@ -163,6 +170,7 @@ def solve(
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
             ),
+            *note_on_search(len(rows), fit.noise),
         ),
         triangular=triangular(fit.block, covariance, g_m_s2) if problem.upper else None,
         signs="" if not problem.upper else "positive" if nominal is None else "bench file",
@@ -296,16 +304,19 @@ def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
 
 
 def _on_levelling(problem: Problem) -> Iterator[str]:
-    """Yield a note on each installation mounted several times, because its angles count as new each time."""
+    """Yield a note on each installation with several series, because its angles count as new in each.
+
+    The readings do not say whether the block was mounted again, switched on again, or heated.
+    """
     if problem.hang is not None:  # other runs tell how the angles change
         return
     assumed = {s.mount for s in problem.stand if STAND_ANGLES[s.column] in LEVELLED and not s.measured}
     for label, times in Counter(problem.conditions.mounts[mount].installation for mount in assumed).items():
         if times > 1:
             yield message(
-                f"the block was mounted {times} times in installation {label}, and u takes the platform as "
-                "levelled again each time; if it was levelled once, state axis_tilt and zero_offset "
-                f"{times**0.5:.3g} times as large as they are, or u of the cross-axis terms is too small"
+                f"installation {label} has {times} series, and u takes each as levelled and mounted again; else u "
+                f"of the cross-axis terms is too small: state {times**0.5:.3g} times axis_tilt and zero_offset if "
+                "the platform was levelled once, also mounting_error and mounting_roll if the block stayed mounted"
             )
 
 
@@ -346,6 +357,8 @@ def first_guess(
         block = first_guess_free(problem.free.signal, nominal)
         mistakes.refuse_singular(block)
         return block
+    if not len(signal):
+        require_rank(np.zeros((0, 3)))
     columns = mistakes.force_columns(problem)
     solution, left = least_squares(columns, signal)
     if not mistakes.still_channels(signal):

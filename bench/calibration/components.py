@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -42,9 +42,12 @@ MOST_SIGNALS: Final = 1500
 """Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
 """Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
+AT_REST_RAD: Final = np.radians(0.01)
+"""Head angles that differ by less count as one setting: procedures turn farther, encoders hardly wander so."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"
+VISIT_ANGLE: Final = "angle of a visit"
 PASS_ANGLE: Final = "angle of a pass"
 PASS_GAIN: Final = "gain of a pass"
 ROUNDED: Final = "rounding"
@@ -248,8 +251,8 @@ def _basic(fit: Fit) -> list[_Term]:
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
     """Yield the candidate components.
 
-    Setting, angle of a setting, visit, and angle of a pass have one variance for all channels; pass, gain of a
-    pass, and drift have one per channel.
+    Setting, visit, and the angles of a setting, visit and pass have one variance for all channels; pass, gain of
+    a pass, and drift have one per channel.
     """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
@@ -261,6 +264,7 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
         yield _Term(ANGLE, "all", _along(settings, fit.slope, angle, further), np.array([angle]))
     if len(np.unique(visits)) < n and np.bincount(visits).max() > 1:
         yield _Term("visit", "all", _by_group(visits, sizes, range(3), further), sizes)
+        yield _Term(VISIT_ANGLE, "all", _along(visits, fit.slope, angle, further), np.array([angle]))
     if len(np.unique(passes)) > len(conditions.mounts):
         for c in range(3):
             yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
@@ -283,9 +287,9 @@ def _labels(*of: Ints) -> Ints:
 
 
 def _visits(conditions: Conditions) -> Ints:
-    """Return the visit number of each reading (n,): a visit is an uninterrupted stay at one point of one pass."""
-    same = np.ones(max(len(conditions) - 1, 0), dtype=bool)
-    for column in (conditions.mount, conditions.pass_number, conditions.point):
+    """Return the visit number of each reading (n,): in a visit, the head stays where it is during a pass."""
+    same = np.abs(np.diff(conditions.angle_rad)) < AT_REST_RAD
+    for column in (conditions.mount, conditions.pass_number):
         same &= column[1:] == column[:-1]
     return np.concatenate([[0], np.cumsum(~same)])
 
@@ -335,6 +339,30 @@ def walk_since(time_s: Floats, later_s: Floats) -> Floats:
     about = np.minimum.outer(then, then) - mean[:, None] - mean + own.mean()
     size = float(np.mean(np.diag(own)) - own.mean())
     return np.asarray(about / size) if size > 0 else np.zeros((len(later_s),) * 2)
+
+
+def shared_later(
+    components: Iterable[Component], noise: Floats, conditions: Conditions, output: Floats, by_signal: Floats
+) -> Floats:
+    """Return the covariance (v, v) of |a| at later readings by errors of the kinds that the fit found.
+
+    `noise` (3,) is that of the signals, `output` (v, 3) the signals minus U0, `by_signal` (v, 3) the derivatives
+    of |a|. An error of the head's angle leaves |a| unchanged, the noise contains the rounding, and a drift is left
+    out.
+    """
+    passes = _labels(conditions.mount, conditions.pass_number)
+    groups = {
+        "setting": repeat_groups(conditions), "visit": _visits(conditions), "pass": passes, PASS_GAIN: passes,
+    }  # fmt: skip
+    covariance = np.zeros((len(output),) * 2)
+    for one in components:
+        if one.what not in groups:
+            continue
+        size = one.size * widening(one.dof) * (noise / rms(noise) if one.channels == "all" else np.ones(3))
+        concerned = np.array([one.channels in ("all", c) for c in CHANNELS])
+        moved = by_signal * size * concerned * (output if one.what == PASS_GAIN else 1.0)
+        covariance += np.equal.outer(groups[one.what], groups[one.what]) * (moved @ moved.T)
+    return covariance
 
 
 # --- the fit with them ------------------------------------------------------------------------------
@@ -440,11 +468,12 @@ _SHARED_BY: Final = {
     "setting": message("the readings at a setting (installation and point) in all passes"),
     ANGLE: message("the readings at a setting (installation and point) in all passes"),
     "visit": message("the readings of one stay at a setting"),
+    VISIT_ANGLE: message("the readings of one stay at a setting"),
     "pass": message("the readings of one pass"),
     PASS_ANGLE: message("the readings of one pass"),
     PASS_GAIN: message("the readings of one pass"),
 }
-_UNITS: Final = {ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
+_UNITS: Final = {ANGLE: "rad", VISIT_ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
 
 
 def notes_on_noise(
@@ -492,6 +521,18 @@ def note_on_prior(noise: Noise, unit: str) -> tuple[str, ...]:
     return () if noise.prior is None else (_on_prior(noise.prior, unit),)
 
 
+def note_on_search(readings: int, noise: Noise) -> tuple[str, ...]:
+    """Return a note if the repeats could show shared errors, but the `readings` are too many for the search."""
+    if 3 * readings <= MOST_SIGNALS or noise.source != "repeats":
+        return ()
+    return (
+        message(
+            f"above {MOST_SIGNALS // 3} readings the program does not search for errors that readings share, and "
+            "u lacks them; calibrate fewer passes to see whether there are any"
+        ),
+    )
+
+
 def note_on_excess(noise: Noise) -> tuple[str, ...]:
     """Return a note if the residuals exceed the stated noise of the bench file (one-sided p < `EXCESS_P`)."""
     of = noise.stated
@@ -525,7 +566,7 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
     for what in dict.fromkeys(c.what for c in components):
         own = [c for c in components if c.what == what]
-        if what in {ANGLE, PASS_ANGLE}:
+        if what in {ANGLE, VISIT_ANGLE, PASS_ANGLE}:
             sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
         elif what == PASS_GAIN:
             by_channel = ", ".join(f"{c.channels} {two_digits(c.size * 1e6)} ppm" for c in own)

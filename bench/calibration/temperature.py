@@ -127,7 +127,7 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
         np.concatenate(mountings),
         np.concatenate(visits),
         np.concatenate(branches),
-        _levels(np.concatenate(means)),
+        levels_of(np.concatenate(means)),
     )
 
 
@@ -168,7 +168,7 @@ def _oriented(rows: Readings) -> Mask:
     return ~np.isin(rows.installation, [VERIFICATION, *UNORIENTED])
 
 
-def _levels(temperature_c: Floats) -> Ints:
+def levels_of(temperature_c: Floats) -> Ints:
     """Return the level of each temperature (n,), numbered from the lowest; no level is wider than `PLATEAU_K`."""
     level = np.zeros(len(temperature_c), dtype=np.int64)
     number, lowest = -1, -np.inf

@@ -57,6 +57,7 @@ class VerificationPoint:
     statement: Statement
     rejected: bool
     p_outside: float
+    series: int = 1
 
     @property
     def tur(self) -> float:
@@ -302,6 +303,7 @@ def verify(
                 and decision.rejects(statements[i])
             ),
             p_outside=float(outside[i]),
+            series=int(rows.series[i]),
         )
         for i in range(len(rows))
     )

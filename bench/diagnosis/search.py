@@ -370,7 +370,9 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
     response = linear.response[:, None]
     many = len(np.unique(linear.readings.run))
     runs = list(tracked(_runs(task, linear, prepared.repeats.sigma), "runs, each by itself", many))
-    of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
+    of_one = limit
+    if runs:
+        of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
     at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
     grown, alone = at_first
     if alone and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
@@ -439,12 +441,16 @@ def _look_in_each(
 
 
 def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterator[_Run]:
+    """Yield the runs that determine their coefficients; the effects of others are searched in all runs together."""
     readings = linear.readings
     of_row = readings.run[linear.rows.reading]
     for number in np.unique(readings.run):
         table = replace(readings.select(readings.run == number), block=None)
         rows: Mask = of_row == number
-        alone = make_linear(table, linear.model, task.stand_u)
+        try:
+            alone = make_linear(table, linear.model, task.stand_u)
+        except CalibrationError:
+            continue
         by_row, by_place = (None if size is None else size[rows] for size in (linear.by_row, linear.by_place))
         alone = replace(alone, by_channel=linear.by_channel, by_row=by_row, by_place=by_place)
         sigma = sigma_of_all * (1.0 if linear.by_run is None else float(linear.by_run.sizes[number]))

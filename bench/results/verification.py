@@ -14,7 +14,7 @@ from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
-from bench.calibration.verification import Verification
+from bench.calibration.verification import Verification, VerificationPoint
 from bench.results.parts import BenchPart, Corrections
 
 
@@ -22,6 +22,7 @@ class PointPart(ResultModel):
     """A verification point: its Δg with u, the risks of the decision, and the statement of conformity."""
 
     angle_deg: float = Field(description="angle of the head, deg")
+    series: int = Field(1, description="number of the mounting in installation V")
     pass_number: int = Field(alias="pass")
     point: int
     g_p: float = Field(description="modulus of the measured specific force, local g")
@@ -126,6 +127,12 @@ def verify_result(found: Verification, **made_from: Any) -> VerifyResult:
 # --- as a table -------------------------------------------------------------------------------------
 
 
+def place_in_words(point: VerificationPoint) -> str:
+    """Return the pass and the number of a point, and the series if installation V was mounted before."""
+    where = message(f"pass {point.pass_number} point {point.point}")
+    return where if point.series == 1 else message(f"series {point.series} {where}")
+
+
 def verification_table(found: Verification) -> Table:
     """Return a table of the verification points: Δg, statement of conformity and risks."""
     guarded = found.rule != SIMPLE
@@ -137,7 +144,7 @@ def verification_table(found: Verification) -> Table:
     for p in found.points:
         up_to = f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing"
         shown.add_row(
-            f"pass {p.pass_number} point {p.point}",
+            place_in_words(p),
             f"{p.angle_deg:.4f}°",
             f"{p.delta_g * 1e6:+.1f} µg",
             f"{p.u * 1e6:.1f} µg",
@@ -328,7 +335,7 @@ def _to_pass(result: Verification) -> Iterator[str]:
         else message(f"reduce u(Δg) to {needed.u_times * point.u * 1e6:.3g} µg")
     )
     yield message(
-        f"to pass: {smaller} at pass {point.pass_number} point {point.point} (now {point.u * 1e6:.3g} µg"
+        f"to pass: {smaller} at {place_in_words(point)} (now {point.u * 1e6:.3g} µg"
         f"{of_which}), or agree on a limit of at least {math.ceil(needed.limit_g * 1e6)} µg"
     )
 

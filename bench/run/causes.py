@@ -284,6 +284,9 @@ class Inquiry:
     def of_reading(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         """Return the suspected mistakes that affect this reading alone and explain it.
 
+        Wrong wires or another installation that hardly change this reading are no such mistakes: they show at other
+        points, and a small effect of the block resembles them.
+
         `state` is the expectation (one member) from other readings, `before` their cost (-2 ln likelihood).
         """
         return [
@@ -300,14 +303,21 @@ class Inquiry:
             else one
             for one in CABLED
         ]
-        return self._fitting(supposed, state.judge(signals, sighting.pose, self.noise), before)
+        judged = state.judge(signals, sighting.pose, self.noise)
+        found = self._fitting(supposed, judged, before)
+        off_g = np.linalg.norm((signals - sighting.signal_v) / np.abs(np.diag(self.nominal.K)), axis=1)
+        hardly = {one.text for one, size in zip(CABLED, off_g, strict=True) if size < LARGE_G}
+        return [one for one in found if one.text not in hardly]
 
     def _elsewhere(self, sighting: Sighting, state: Expectation, before: float) -> list[Suspect]:
         label, angle = sighting.installation, sighting.angle_rad
         unlikely = 0.0 if sighting.pivot_rad is None else SAT_RIGHT
+        others = self._others(sighting, few=True)
+        force = poses(self.model, self.nominal, sighting.row, [*others], np.full(len(others), angle)).force
         supposed = [
             OtherPose(replace(sat, unlikely=sat.unlikely + unlikely), at)
-            for at, sat in self._others(sighting, few=True).items()
+            for (at, sat), here in zip(others.items(), force, strict=True)
+            if np.linalg.norm(here - sighting.pose.force[0]) > LARGE_G
         ]
         supposed += head_elsewhere(label, angle, sighting.last_rad, sighting.next_rad, sighting.pivot_rad)
         angles = angle + np.array([one.off_rad for one in supposed])

@@ -25,7 +25,16 @@ from bench.run.folder import Run
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
-from bench.services.source import Failed, Source, data_sha256, load_each, load_sources, reading, time_of
+from bench.services.source import (
+    Failed,
+    Source,
+    data_sha256,
+    load_each,
+    load_sources,
+    reading,
+    refuse_copies,
+    time_of,
+)
 
 TOGETHER: Final = "diagnose-together"
 
@@ -77,6 +86,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
     differ, the diagnosis decides from the readings.
     Raises `Refused` if the sources were measured on different benches.
     """
+    refuse_copies(sources)
     first = sources[0]
     if len(sources) == 1 or all_free([source.readings for source in sources]):
         return Body(tuple(sources), first, None, one_block)

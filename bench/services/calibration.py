@@ -221,7 +221,7 @@ class CalibrationResult:
 
     def as_coefficients(self) -> Coefficients:
         """Return the coefficients as `read_coefficients` would return them from the result file."""
-        from bench.services.coefficients import Coefficients
+        from bench.services.coefficients import Coefficients, widened_noise
 
         own = self.calibration
         return Coefficients(
@@ -229,7 +229,8 @@ class CalibrationResult:
             own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
             self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
             self.source.block_name, math.nan if self._temperature_effects else self.temperature_c, self.accepted,
-            self.joined_points,
+            self.joined_points, widened_noise(own.noise.by_channel, own.noise.setting_rad, own.noise.dof),
+            own.shared,
         )  # fmt: skip
 
     @property

@@ -15,7 +15,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import cause_of, shortened
-from bench.calibration.result import NOT_ACCEPTED_P
+from bench.calibration.result import NOT_ACCEPTED_P, Component, Noise
 from bench.exchange.result import BlockResult
 from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.geometry import COEFFICIENTS, Block
@@ -52,7 +52,9 @@ class Coefficients:
     rms wander of each bias during a run. `block_name` is the type and serial number of the block, empty if not
     recorded. `temperature_c` is the temperature at which the coefficients hold, °C; NaN if it is unknown or if a
     model corrects for temperature. `fits` is false if the readings of the calibration contradict the model.
-    `joined` is the source whose verification points joined the fit, empty if there is none.
+    `joined` is the source whose verification points joined the fit, empty if there is none. `channel_noise` (3,)
+    is the noise of each channel, widened for the degrees of freedom of the estimate; None if only `noise` is known.
+    `shared` are the errors that readings share.
     """
 
     block: Block
@@ -71,6 +73,8 @@ class Coefficients:
     temperature_c: float = math.nan
     fits: bool = True
     joined: str = ""
+    channel_noise: Floats | None = None
+    shared: tuple[Component, ...] = ()
 
 
 def read_coefficients(path: Path, unit: str) -> Coefficients:
@@ -131,6 +135,8 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         math.nan if data.get("temperature_effects") else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
+        _channel_noise(data["noise"]),
+        tuple(_shared(data["noise"])),
     )
 
 
@@ -301,6 +307,30 @@ def _wander(data: Any) -> Floats | None:
     """Return the limits (3,) of the wander of each bias during a run; None if the result states none."""
     stated = data["noise"].get("wander")
     return np.array([_positive(stated.get(c)) for c in CHANNELS]) if isinstance(stated, dict) else None
+
+
+def _channel_noise(noise: Any) -> Floats | None:
+    """Return the widened noise (3,) of the channels; None if the result does not state it."""
+    sizes = np.array([_positive(noise.get(c)) for c in CHANNELS])
+    if not sizes.all():
+        return None
+    return widened_noise(
+        sizes, _positive(noise.get("setting_arcsec")), _number_or(math.inf, noise.get("dof"))
+    )
+
+
+def widened_noise(by_channel: Floats, setting: float, dof: float) -> Floats:
+    """Return the noise (3,) of the channels, widened for the `dof` of an estimate with the setting error."""
+    return by_channel * Noise(1.0, setting, dof, "repeats").widened().reading
+
+
+def _shared(noise: Any) -> Iterator[Component]:
+    """Yield the errors that readings share, as far as a result states them."""
+    listed = noise.get("shared")
+    for one in listed if isinstance(listed, list) else ():
+        if isinstance(one, dict) and (size := _positive(one.get("size"))):
+            what, channels, unit = (_text(one.get(name)) for name in ("what", "channels", "unit"))
+            yield Component(what, channels, size, unit, _number_or(math.inf, one.get("dof")), 0.0)
 
 
 def _covariance(data: Any, name: str) -> Floats:

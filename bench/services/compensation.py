@@ -15,7 +15,7 @@ from bench.base.text import as_typed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
-from bench.calibration.temperature import CompensationTable, TemperatureModel, make_table
+from bench.calibration.temperature import CompensationTable, TemperatureModel, levels_of, make_table
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import TumbleView, combine, tumble_view
 from bench.calibration.verification import Verification, verify
@@ -127,15 +127,23 @@ def _degree(text: str) -> int | None:
 
 
 def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Verification]]:
-    """Yield each temperature (°C) in the model's range with verification points, and its verification."""
+    """Yield each temperature (°C) in the model's range with verification points, and its verification.
+
+    Readings of one temperature plateau are verified together, at its mean temperature.
+    """
     rows = source.readings.verification()
-    known = np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c)
+    rows = rows.select(np.isfinite(rows.temperature_c) & ~model.outside(rows.temperature_c))
     by = own_judgement(source)
     noise = model.noise.widened().by_channel
-    for t in np.unique(rows.temperature_c[known]).tolist():
-        own = source.readings.select(
-            (source.readings.installation == "V") & (source.readings.temperature_c == t)
-        )
+    level = levels_of(rows.temperature_c)
+    for number in np.unique(level):
+        own = rows.select(level == number)
+        t = float(np.mean(own.temperature_c))
+        signal = [
+            model.block(t).output(model.block(at).specific_force(one))
+            for at, one in zip(own.temperature_c.tolist(), own.signal, strict=True)
+        ]
+        own = replace(own, signal=np.array(signal))
         yield (
             t,
             verify(

@@ -53,7 +53,7 @@ from bench.services.coefficients import date_of, dated, is_result, snapshots_in
 from bench.services.errors import Refused
 from bench.services.requests import history as asked
 from bench.services.requests.history import Learn
-from bench.services.source import Source, data_sha256, load_sources, reading, time_of
+from bench.services.source import Source, data_sha256, load_sources, reading, refuse_copies, time_of
 from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now
 
@@ -304,12 +304,7 @@ def _require_one_bench(sources: Sequence[Source]) -> None:
                 f"{source.name} is {'simulated' if source.simulated else 'real'}, but {first.name} is "
                 f"{'simulated' if first.simulated else 'real'}; learn from runs of one kind"
             )
-    hashes: dict[str, str] = {}
-    for source in sources:
-        own = data_sha256(source.as_read)
-        if own in hashes:
-            raise Refused(f"{source.name}: has the same readings as {hashes[own]}; give each run once")
-        hashes[own] = source.name
+    refuse_copies(sources)
 
 
 # --- how the voltmeters differ --------------------------------------------------------------------------
@@ -479,6 +474,7 @@ def monitored(request: asked.Monitor) -> Monitored:
             f"signals in {', '.join(units)} cannot be shown in one chart; name runs whose signals have "
             "one unit"
         )
+    refuse_copies(sources)
     return Monitored(monitor_chart([check_run(source) for source in sources], request.baseline), sources)
 
 

@@ -250,6 +250,15 @@ def data_sha256(readings: Readings) -> str:
     return _hash(readings, to_the_bit=False)
 
 
+def refuse_copies(sources: Iterable[Source]) -> None:
+    """Raise `Refused` if two sources have the same readings, which would count twice."""
+    known: dict[str, Source] = {}
+    for source in sources:
+        other = known.setdefault(data_sha256(source.as_read), source)
+        if other is not source:
+            raise Refused(f"{source.name}: has the same readings as {other.name}; give each run once")
+
+
 def _hash(readings: Readings, *, to_the_bit: bool = True) -> str:
     from bench.readings.csv import format_csv
 

@@ -318,12 +318,13 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
     known_c = np.isfinite(source.readings.verification().temperature_c).any()
     at_c = taken.temperature_c if known_c and math.isfinite(taken.temperature_c) else None
     part = drifted((taken.meters, time_of(taken.made_at)), (source.meters, time_of(source.made_at)))
+    noise = np.full(3, taken.noise) if taken.channel_noise is None else taken.channel_noise
     joint, said = np.zeros((0, 0)), ""
     for covariance, same, weight in ((known, True, 1.0 - part), (taken.covariance, False, part)):
         found = delta_g_elsewhere(
-            taken.block, covariance, np.full(3, taken.noise), source.readings, source.bench, source.model,
+            taken.block, covariance, noise, source.readings, source.bench, source.model,
             same_meters=same, day=source.traced.day, block_terms=taken.block_terms,
-            meters=source.known_meters, calibrated_c=at_c,
+            meters=source.known_meters, calibrated_c=at_c, shared=taken.shared, wander=taken.wander,
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:

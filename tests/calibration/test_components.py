@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.calibration import calibrate
-from bench.calibration.components import DRIFT, PASS_ANGLE, PASS_GAIN
+from bench.calibration.components import DRIFT, PASS_ANGLE, PASS_GAIN, VISIT_ANGLE
 from bench.calibration.noise import rounding_variance
 from bench.readings.table import make_readings
 from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, TRUTH, U0, K, design, specific_force
@@ -82,6 +82,28 @@ def test_a_head_whose_zero_moves_between_passes_enters_u():
         off.append(((run.block.vector - TRUTH) / np.sqrt(np.diag(run.covariance)))[[1, 2, 3, 6]])
     assert found.count(PASS_ANGLE) >= 12
     assert np.sqrt(np.mean(np.square(off))) < 1.4
+
+
+@pytest.mark.slow
+def test_readings_at_one_setting_share_its_error():
+    """Seeds [53, k], 8 runs: a setting is 15 arcsec off (1 sigma) in all of its six readings, points of their own.
+
+    Taken to err by themselves, the readings give a chi-square of the coefficients 1.5 times as large.
+    """
+    found, chi2 = [], []
+    for k in range(8):
+        rng = np.random.default_rng([53, k])
+        installation, pass_number, point, phi = (np.repeat(column, 6) for column in design())
+        off = np.repeat(rng.normal(0.0, 15 * ARCSEC, len(phi) // 6), 6)
+        force = specific_force(installation.tolist(), phi, alpha4=off)
+        signal = force @ K.T + U0 + rng.normal(0.0, 1e-4, force.shape)
+        numbers = 6 * point + np.arange(len(phi)) % 6
+        run = calibrate(make_readings(installation, pass_number, numbers, phi, signal), MODEL, STAND_U, 9.81)
+        found.append([one.what for one in run.shared])
+        error = run.block.vector - TRUTH
+        chi2.append(error @ np.linalg.solve(run.covariance, error) / len(error))
+    assert sum(VISIT_ANGLE in one for one in found) >= 7
+    assert np.mean(chi2) < 1.2
 
 
 @pytest.mark.slow
@@ -165,3 +187,15 @@ def test_kinds_are_one_family_whose_channels_are_asked_together():
     drifts = [component for component in found.shared if component.what == DRIFT]
     assert [component.channels for component in drifts] == ["x", "y", "z"]
     assert len({component.p for component in drifts}) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("times", "told"), [(9, False), (10, True)])
+def test_a_search_that_is_left_out_is_told(times, told):
+    """486 readings are searched for shared errors, 540 are not."""
+    installation, pass_number, point, phi = (np.repeat(column, times) for column in design())
+    force = specific_force(installation.tolist(), phi)
+    signal = force @ K.T + U0 + np.random.default_rng(3).normal(0.0, 1e-4, force.shape)
+    numbers = times * point + np.arange(len(phi)) % times
+    run = calibrate(make_readings(installation, pass_number, numbers, phi, signal), MODEL, STAND_U, 9.81)
+    assert any("does not search for errors that readings share" in note for note in run.notes) is told

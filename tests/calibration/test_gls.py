@@ -419,6 +419,29 @@ def test_derivatives_with_effects_at_each_stage_are_those_of_the_whole_chain():
         np.testing.assert_allclose(found.jacobian[:, :, j], column, rtol=0, atol=tolerance)
 
 
+def test_angles_of_a_block_mounted_once_are_stated_for_its_series():
+    """Four series without a remount, as at four temperatures: stated twice as large, the roll gives its u once.
+
+    1 arcsec of it is 10.4 µV/g of Kyz. Stated as large as it is, it gives half of its u, and the note says so.
+    """
+    installation, pass_number, point, phi = design()
+    n, times = len(phi), 4
+    signal = np.tile(simulate(None, 0.0).signal, (times, 1))
+    series = np.repeat(np.arange(times) + 1, n)
+    labels, again = installation * times, np.tile(phi, times)
+    readings = make_readings(labels, pass_number * times, point * times, again, signal, series=series)
+    given = Noise(1e-6, SETTING_U_RAD, np.inf, "given")
+    u = []
+    for factor in (1.0, 2.0):
+        roll = {"mounting_roll": factor * 30 * ARCSEC}
+        found = calibrate(readings, MODEL, STAND_U, 9.81, noise=given, assumed_u=roll)
+        told = "state 2 times axis_tilt and zero_offset"
+        assert any(told in n and "mounting_roll if the block stayed mounted" in n for n in found.notes)
+        u.append(found.u[COEFFICIENTS.index("Kyz")])
+    assert u[1] == pytest.approx(30 * 10.4e-6, rel=0.02)
+    assert u[0] == pytest.approx(u[1] / 2, rel=0.02)
+
+
 def test_angles_of_a_platform_levelled_once_are_stated_for_the_mountings():
     """Two runs in one table, with the same α1 and α2 in both: stated √2 times as large, they give the right u.
 
@@ -434,8 +457,8 @@ def test_angles_of_a_platform_levelled_once_are_stated_for_the_mountings():
     for times in (1.0, np.sqrt(2.0)):
         stated = STAND_U | {name: times * STAND_U[name] for name in NAMES[:2]}
         found = calibrate(readings, MODEL, stated, 9.81, noise=given)
-        told = [note for note in found.notes if "state axis_tilt and zero_offset 1.41 times" in note]
-        assert [re.search(r"2 times in installation (\w+)", note)[1] for note in told] == ["1", "2"]
+        told = [note for note in found.notes if "state 1.41 times axis_tilt and zero_offset" in note]
+        assert [re.search(r"installation (\w+) has 2 series", note)[1] for note in told] == ["1", "2"]
         once = found.covariance.copy()
         for column, name in enumerate(NAMES[:2]):
             for label in "12":

@@ -11,7 +11,7 @@ from bench.calibration.conformity import Population, global_risk
 from bench.calibration.verification import verify
 from bench.model import Block
 from bench.readings.table import make_readings
-from bench.results.verification import advice, global_risk_in_words, verdict_line
+from bench.results.verification import advice, global_risk_in_words, place_in_words, verdict_line
 from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.honest_runs import MODEL
 from tests.support.results import verification_json
@@ -40,6 +40,14 @@ def test_the_true_coefficients_pass_with_nothing_left():
     assert [p.angle_deg for p in result.points] == pytest.approx([45, 135, 225, 315])
     assert max(abs(p.delta_g) for p in result.points) < 1e-15
     assert [p.u for p in result.points] == [0, 0, 0, 0]
+
+
+def test_points_of_two_mountings_have_different_names():
+    twice = replace(turned(), series=np.array([1, 1, 2, 2]), point=np.array([1, 2, 1, 2]))
+    result = verify(twice, BLOCK, NONE, 0.0, 3e-4)
+    shown = [place_in_words(point) for point in result.points]
+    assert shown == ["pass 1 point 1", "pass 1 point 2", "series 2 pass 1 point 1", "series 2 pass 1 point 2"]
+    assert [point["series"] for point in verification_json(result)["points"]] == [1, 1, 2, 2]
 
 
 def test_error_of_the_modulus_in_closed_form():

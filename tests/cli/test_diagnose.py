@@ -263,6 +263,7 @@ def test_the_copy_of_a_run_stands_in_its_folder_and_tells_where_it_comes_from(be
         (["null.csv", "--model", "null.csv"], "null.csv"),
         (["null.csv", "counts.csv", "--together"], "evaluate the files of each unit separately"),
         (["null.csv", "null.csv"], "two sources would write"),
+        (["null.csv", "copy.csv", "--together"], "copy.csv: has the same readings as null.csv"),
         (["short.csv"], "short.csv, line 1: the header lacks"),
     ],
 )
@@ -270,6 +271,7 @@ def test_what_cannot_be_done_is_told_in_one_line(bench, arguments, message):
     measured("null.csv", 3)
     text = Path("null.csv").read_text(encoding="utf-8")
     Path("counts.csv").write_text(text.replace("_v", "_counts"), encoding="utf-8")
+    Path("copy.csv").write_text(text, encoding="utf-8")
     Path("short.csv").write_text("installation,pass\n1,1\n", encoding="utf-8")
     refused(bench("diagnose", *arguments), message)
 

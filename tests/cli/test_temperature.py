@@ -9,7 +9,7 @@ import pytest
 from bench import tumble as tumble_in_python
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import EXAMPLE, write_csv
-from bench.validation.paper_bench import TRUTH
+from bench.validation.paper_bench import TRUTH, specific_force
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
 from tests.support.thermal_bench import coefficients, simulate, truth
@@ -46,6 +46,28 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
     written = sorted(path.name for path in (tmp_path / "compensate").iterdir())
     assert written == ["warm.csv", "warm.h", "warm.json"]
     assert json.loads((tmp_path / "compensate" / "warm.json").read_text()) == result
+
+
+@pytest.mark.slow
+def test_points_of_one_plateau_are_verified_together(bench, readings, polynomials, tmp_path):
+    """A thermometer shows another temperature at each point: four temperatures are not four verifications.
+
+    At 1 K from the mean the gain of these coefficients is 100 ppm off: each reading needs its own temperature.
+    """
+    temperature = np.array([22.2, 22.9, 23.3, 23.6, 39.1, 40.0, 40.2, 40.7])
+    angle = np.tile([45.0, 135.0, 225.0, 315.0], 2)
+    force = specific_force(["V"] * 8, np.radians(angle), psi=np.radians(45.0))
+    at = coefficients(polynomials, temperature)
+    signal = np.einsum("nij,nj->ni", at[:, :9].reshape(8, 3, 3), force) + at[:, 9:]
+    with readings.open("a", encoding="utf-8") as file:
+        for k, (volts, t) in enumerate(zip(signal.tolist(), temperature.tolist(), strict=True)):
+            x, y, z = volts
+            file.write(f"{1 + k // 4},V,1,{k % 4 + 1},{angle[k]},,,,{t},1,{x},{y},{z},,,\n")
+    bench("compensate", readings, "--json", "model.json")
+    checks = json.loads((tmp_path / "model.json").read_text())["verification"]
+    assert [(round(one["temperature_c"], 2), len(one["points"])) for one in checks] == [(23.0, 4), (40.0, 4)]
+    assert all(abs(point["delta_g"]) < 2 * point["u"] for one in checks for point in one["points"])
+    assert max(abs(point["delta_g"]) for one in checks for point in one["points"]) < 6e-5
 
 
 @pytest.mark.slow

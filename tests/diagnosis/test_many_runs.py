@@ -150,6 +150,16 @@ def test_what_one_run_has_alone_is_found_in_it(cache):
     assert found.effects[0].channels == ("y",)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("kept", [["1"], ["V"]])
+def test_a_run_that_does_not_determine_its_coefficients_can_be_joined(kept):
+    """The first run has one installation or verification points alone; the other determines what it leaves open."""
+    whole, part = runs(2, seed=31, K2=(0.0, 3e-4, 0.0))
+    few = part.select(np.isin(part.installation, kept))
+    found = diagnose(joined([few, whole]), MODEL, LIMITS, cache=OneThreshold())
+    assert [one.name for one in found.effects] == ["quadratic_nonlinearity"]
+
+
 def test_coefficients_of_several_blocks_are_each_its_own():
     tables = runs(2, 61)
     tables[1] = replace(tables[1], signal=tables[1].signal * 1.01 + 0.01)

@@ -385,6 +385,22 @@ def test_a_large_effect_of_the_block_is_no_wrong_wiring_or_mounting(added_g):
     assert not [sign.sentence for sign in signs if LASTING & set(sign.kinds)]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 5, 7, 8])
+def test_a_step_of_the_biases_is_no_mounting_or_wiring_that_gives_the_same_signals(seed):
+    """At 90° and 270° gravity is along x in installations 2 and 1T180: a reading there cannot show which it is.
+
+    Without bias, a channel across gravity reads the same with reversed wires.
+    """
+    bench = load_bench(find_bench("bench-gpib"))
+    stand_u = {name: stated.u for name, stated in bench.stand_distributions().items()}
+    watcher = EarlyWarning((-2.14,) * 3, ForwardModel(bench.installation_models()), stand_u)
+    stepped = np.where([label == "2" for label in plan()[0]], -9e-4, 0.0)[:, None]
+    signs = watch(run_of(seed, 1.7e-4, wired=lambda signal: signal - U0 + stepped), watcher)
+    assert signs
+    assert not [sign.sentence for _, sign in signs if LASTING & set(sign.kinds)]
+
+
 @pytest.mark.parametrize("number", [2, 5, 9])
 @pytest.mark.parametrize(
     ("mistaken", "cause"),

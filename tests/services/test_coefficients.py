@@ -123,3 +123,13 @@ def test_rounding_alone_is_no_reason(readings):
     summed = np.einsum("ik,jk->ij", factor, factor)
     assert impossible(summed) == ""
     assert impossible(summed[::-1, ::-1]) == ""
+
+
+def test_the_noise_of_each_channel_and_shared_errors_are_read(read, good):
+    """An estimate with 12 degrees of freedom, 8 of them of the noise, is widened by sqrt(8/6)."""
+    shared = {"what": "pass", "channels": "y", "size": 2e-4, "unit": "V", "dof": 4.0, "p": 1e-5}
+    noise = {"reading_v": 2e-6, "x": 1e-6, "y": 1e-6, "z": 3e-6, "setting_arcsec": 2.0, "dof": 12.0}
+    taken = read({**good, "noise": {**noise, "shared": [shared]}})
+    assert taken.channel_noise == pytest.approx(np.array([1e-6, 1e-6, 3e-6]) * np.sqrt(8 / 6))
+    assert [(one.what, one.channels, one.size, one.dof) for one in taken.shared] == [("pass", "y", 2e-4, 4.0)]
+    assert read(good).channel_noise is None

@@ -7,14 +7,15 @@ Source: JCGM 100:2008 (GUM), 4.3 and 5.2.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from datetime import date
 from typing import Final
 
 import numpy as np
+from scipy import special
 
-from bench.base.arrays import ARCSEC, Floats
+from bench.base.arrays import ARCSEC, Floats, Ints
 from bench.base.languages import message
 from bench.base.text import listed
 from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
@@ -22,8 +23,8 @@ from bench.calibration.budget.error_source import NAME, ErrorSource, TiltRate, f
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.budget.propagation import effective_dof
 from bench.calibration.budget.sources import ROLL_ORIGIN, assumed_stand, hidden_sources
-from bench.calibration.components import walk_since
-from bench.calibration.result import Calibration, SourceOfError
+from bench.calibration.components import shared_later, walk_since
+from bench.calibration.result import Calibration, Component, SourceOfError, widening
 from bench.config.bench_file.file import BenchFile
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
@@ -191,7 +192,8 @@ def acting_sources(
 def delta_g_elsewhere(
     block: Block, covariance: Floats, noise: Floats, readings: Readings, bench: BenchFile, model: ForwardModel,
     *, same_meters: bool, day: date | None = None, block_terms: Floats | None = None,
-    meters: KnownMeters | None = None, calibrated_c: float | None = None,
+    meters: KnownMeters | None = None, calibrated_c: float | None = None, shared: Iterable[Component] = (),
+    wander: Floats | None = None,
 ) -> Floats:  # fmt: skip
     """Return the covariance (v, v) of |a|, local g², at verification rows, from coefficients of another day.
 
@@ -200,12 +202,19 @@ def delta_g_elsewhere(
     and offset errors of today's meters are added. All other errors of the readings count in full.
     `block_terms` (12, q), as in `Calibration`, are the changes of the coefficients by K2 and K3. They are
     correlated with the changes of the readings at the points by K2 and K3. `calibrated_c` is the temperature
-    of the block, °C, at its calibration; None stands for that of the readings.
+    of the block, °C, at its calibration; None stands for that of the readings. `shared` are the errors that the
+    readings of the calibration share, `wander` (3,) is the rms wander of its biases.
     """
     rows = np.flatnonzero(readings.installation == VERIFICATION)
     taken = MeasuredReadings(readings, block, meters_of(bench), np.zeros((len(readings), 3)), calibrated_c)
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], block)
-    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum((by_signal * noise) ** 2, axis=1))
+    own = variance_at_points(readings, noise)
+    whole = by_coefficient @ covariance @ by_coefficient.T + np.diag(np.sum(by_signal**2 * own, axis=1))
+    whole += _shared_at(rows, shared, noise, readings, block, by_signal)
+    if wander is not None:
+        # as in a comparison: a random walk is sqrt(2) times its rms from its mean at the start of a run
+        wandered = by_signal * np.sqrt(2.0) * wander
+        whole += wandered @ wandered.T
     functionals = np.zeros((len(rows), len(readings), 3))
     functionals[np.arange(len(rows)), rows] = by_signal
     of_block = np.zeros((len(rows), 0))
@@ -220,6 +229,37 @@ def delta_g_elsewhere(
         across = of_block @ (by_coefficient @ block_terms).T
         whole += across + across.T
     return np.asarray(whole)
+
+
+NOISIER_P: Final = 0.01
+"""P-value below which the samples at the verification points scatter more than those of the calibration."""
+
+
+def scatter_of_samples(readings: Readings) -> tuple[Floats, float]:
+    """Return the variance (3,) of a mean of samples, by their scatter, and its degrees of freedom (0: unknown)."""
+    known = np.isfinite(readings.signal_sd).all(axis=1) & (readings.samples > 1)
+    free = readings.samples[known] - 1.0
+    of_mean = readings.signal_sd[known] ** 2 / readings.samples[known, None]
+    return np.asarray((free @ of_mean) / max(float(free.sum()), 1.0)), float(free.sum())
+
+
+def variance_at_points(readings: Readings, noise: Floats, fitted: Readings | None = None) -> Floats:
+    """Return the variance (3,) of a signal at the verification points, by the `noise` (3,) of the calibration.
+
+    If the samples at the points scatter significantly more than those of the `fitted` readings (None: than the
+    noise), the excess is added: they may be fewer, shorter or coarser.
+    """
+    rows = readings.verification()
+    scatter, own_dof = scatter_of_samples(rows)
+    known, dof = (noise**2, 0.0) if fitted is None else scatter_of_samples(fitted)
+    excess = np.zeros(3)
+    if own_dof > 0:
+        if not dof > 0:
+            known, dof = noise**2, np.inf
+        above = scatter / np.maximum(known, 1e-300)
+        p = special.chdtrc(own_dof, own_dof * above) if np.isinf(dof) else special.fdtrc(own_dof, dof, above)
+        excess = np.where(p < NOISIER_P / 3, widening(own_dof) ** 2 * scatter - known, 0.0)
+    return np.asarray(np.maximum(noise**2 + excess, rows.resolution**2 / 12.0))
 
 
 def delta_g_contributions(
@@ -240,7 +280,8 @@ def delta_g_contributions(
     by_coefficient, by_signal = modulus_slopes(taken.force[rows], calibration.block)
     functionals = np.einsum("vp,pni->vni", by_coefficient, calibration.gain)
     functionals[np.arange(len(rows)), rows] += by_signal
-    noise = np.diag(np.sum((by_signal * calibration.noise.widened().by_channel) ** 2, axis=1))
+    at_points = variance_at_points(readings, calibration.noise.widened().by_channel, calibration.fitted)
+    noise = np.diag(np.sum(by_signal**2 * at_points, axis=1))
     found = {
         "noise_and_stand": by_coefficient @ calibration.covariance_readings @ by_coefficient.T,
         **{
@@ -250,6 +291,11 @@ def delta_g_contributions(
         },
         "reading_at_the_point": noise,
     }
+    shared = _shared_at(
+        rows, calibration.shared, calibration.noise.by_channel, readings, calibration.block, by_signal
+    )
+    if np.any(shared):
+        found["errors_that_readings_share"] = shared
     if calibration.drift is not None:
         # U0 is the mean over the run, and the biases wander further until the check
         time_s = readings.conditions().elapsed_s
@@ -269,6 +315,20 @@ def delta_g_contributions(
         )
         found[NAME] = parts @ parts.T
     return found
+
+
+def _shared_at(
+    rows: Ints,
+    shared: Iterable[Component],
+    noise: Floats,
+    readings: Readings,
+    block: Block,
+    by_signal: Floats,
+) -> Floats:
+    """Return the covariance (v, v) of |a| by shared errors at the verification rows, which have their own."""
+    at = readings.installation == VERIFICATION
+    output = readings.signal[rows] - block.U0
+    return shared_later(shared, noise, readings.conditions().select(at), output, by_signal)
 
 
 def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> MeasuredReadings:

@@ -449,7 +449,7 @@ def _checked(texts: Sequence[Texts], verification: Verification) -> Node:
     delta = real_list(
         [p.delta_g for p in points],
         one,
-        [f"pass{p.pass_number}-point{p.point}" for p in points],
+        [f"series{p.series}-" * (p.series > 1) + f"pass{p.pass_number}-point{p.point}" for p in points],
         ([p.U for p in points], [p.k for p in points], coverage),
         ellipsoidal(covariance.tolist(), one, joint_factor(len(points), level=coverage[0]).k, coverage[0]),
     )

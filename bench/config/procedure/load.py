@@ -509,7 +509,7 @@ class Expansion:
             where = mount_in_words(context.installation, context.series)
             text = (
                 f"point {context.point} of pass {context.pass_number} in installation {where} is read "
-                "twice; continue the numbers with 'first_point', or put both into one repeat"
+                "twice; give each turn another 'first_point', and a turn that reads several 'times' one angle"
             )
             self._once(context, place, text)
         self._read.add(context.place)

@@ -16,8 +16,8 @@ from bench.config.bench_file.file import load_bench
 from bench.config.bench_file.stand import RatioError, TemperatureError, VoltageError, ZeroRepeats
 from bench.model import Block, ForwardModel
 from bench.model.geometry import COEFFICIENTS
-from bench.readings.table import VERIFICATION
-from bench.validation.paper_bench import ARCSEC, simulate
+from bench.readings.table import VERIFICATION, make_readings
+from bench.validation.paper_bench import ARCSEC, U0, K, simulate, specific_force
 from tests.support.results import calibration_json
 from tests.support.whole_truth import CASES, simulate_whole
 
@@ -244,3 +244,69 @@ def test_readings_in_g_lack_only_the_errors_of_the_voltmeters(run):
 def test_one_kind_of_scatter_is_stated():
     with pytest.raises(ValueError, match=r"2 of .* are stated \('restart', 'scale'\)"):
         ZeroRepeats.model_validate({"restart": ["1 mg"] * 3, "scale": [1, 1, 1]})
+
+
+def _with_a_shared_error(seed, kind):
+    """Three passes in installations 1, 2 and V on a perfect bench; repeats share an error of the signals."""
+    rng = np.random.default_rng([seed, 7])
+    rows = [(i, p, n, 45.0 * n) for i in "12" for p in (1, 2, 3) for n in range(9)]
+    rows += [("V", p, n, 45.0 + 90.0 * n) for p in (1, 2, 3) for n in range(4)]
+    installation, passes, point, angle = (np.array(column) for column in zip(*rows, strict=True))
+    psi = np.where(installation == VERIFICATION, np.radians(45.0), 0.0)
+    output = specific_force(installation, np.radians(angle), psi=psi) @ K.T
+    alike = (installation, passes if kind == "gain" else point)
+    groups = np.unique([f"{i} {n}" for i, n in zip(*alike, strict=True)], return_inverse=True)[1]
+    error = rng.normal(0.0, {"gain": 1e-4, "setting": 15e-5}[kind], (groups.max() + 1, 3))[groups]
+    signal = U0 + output + error * (output if kind == "gain" else 1.0) + rng.normal(0.0, 50e-6, output.shape)
+    return make_readings(installation, passes, point + 1, np.radians(angle), signal)
+
+
+@pytest.mark.parametrize("kind", ["gain", "setting"])
+def test_errors_that_repeats_share_are_in_u_at_the_points_too(kind):
+    """A pass of verification points has a gain of its own, and a point an error that each of its repeats has."""
+    exact = {name: 1e-6 * u for name, u in STAND_U.items()}
+    chi2 = []
+    for seed in range(12):
+        run = _with_a_shared_error(seed, kind)
+        at = run.installation == VERIFICATION
+        found = sign(calibrate(run, MODEL, exact, 9.81), run, BENCH, MODEL)
+        delta_g = np.linalg.norm(found.block.specific_force(run.signal[at]), axis=1) - 1.0
+        parts = delta_g_contributions(found, run, BENCH, MODEL)
+        own = sum(parts[n] for n in ("noise_and_stand", "reading_at_the_point", "errors_that_readings_share"))
+        shared, noise = found.shared, found.noise.widened().by_channel
+        later = delta_g_elsewhere(
+            found.block, found.covariance_readings, noise, run, BENCH, MODEL, same_meters=True, shared=shared
+        )
+        assert np.all(np.diag(later) > np.diag(own))  # which has the errors of the block besides
+        chi2.append(delta_g @ np.linalg.solve(own, delta_g) / len(delta_g))
+    assert 0.5 < np.mean(chi2) < 1.5  # without the shared errors: 4 and more
+
+
+def test_the_wander_of_the_biases_does_not_cancel_between_days(run):
+    found = signed(run)
+    apart, wandered = (
+        delta_g_elsewhere(
+            found.block, found.covariance, np.zeros(3), run, BENCH, MODEL, same_meters=True, wander=wander
+        )
+        for wander in (None, np.full(3, 1e-4))
+    )
+    u = np.sqrt(np.diag(wandered - apart))
+    np.testing.assert_allclose(u, np.sqrt(2.0) * 1e-4 / 2.17, rtol=0.02)
+
+
+@pytest.mark.parametrize(("samples_sd", "u_v"), [(3e-4, 1e-4), (9e-4, 3.2e-4)])
+def test_noisier_samples_at_the_points_are_in_u(samples_sd, u_v):
+    """Samples at the points scatter like those of the calibration, or three times as much."""
+    run = simulate_whole(np.random.default_rng(5), "noise").readings
+    at = run.installation == VERIFICATION
+    noise = Noise(1e-4, 0.0, np.inf, "given")
+    sd = np.where(at[:, None], samples_sd, 3e-4) * np.ones(3)
+    run = dataclasses.replace(run, signal_sd=sd, samples=np.full(len(run), 10))
+    found = signed(run, noise)
+    part = delta_g_contributions(found, run, BENCH, MODEL)["reading_at_the_point"]
+    np.testing.assert_allclose(np.sqrt(np.diag(part)), u_v / 2.17, rtol=0.15)
+    elsewhere = delta_g_elsewhere(
+        found.block, 0.0 * found.covariance, np.full(3, 1e-4), run, _with_meters("1 ppm", "1 uV"), MODEL,
+        same_meters=True,
+    )  # fmt: skip
+    assert np.all(np.sqrt(np.diag(elsewhere)) > 0.85 * u_v / 2.17)
