@@ -425,8 +425,8 @@ def _add_form(
             if columns and (not per_channel or all(any((n, c) in index for n in names) for c in channels)):
                 variant = Variant(effect.name, columns, channels, mounts, shape)
                 collector.variants.append(variant)
-                if per_channel and len(channels) == 3 and not mounts:
-                    _add_equal(collector, variant, names)
+                if per_channel and len(channels) == 3:
+                    _add_equal(collector, variant)
                 started = tuple(i for c in channels for i in starts.get(c, ()))
                 if started:
                     collector.variants.append(
@@ -434,17 +434,23 @@ def _add_form(
                     )
 
 
-def _add_equal(collector: Collector, variant: Variant, names: Sequence[str]) -> None:
+def _add_equal(collector: Collector, variant: Variant) -> None:
     """Add the variant with the same amplitudes in all channels, as accelerometers of one type are alike.
 
     Without it, an effect with one parameter common to all channels would win against three equal parameters.
     """
-    equal = []
-    for name in names:
-        of_name = [i for i in variant.columns if collector.kinds[i].parameter == name]
-        column = np.sum([collector.columns[i] for i in of_name], axis=0)
-        equal.append(collector.add(column, Column(name, None), collector.scale[of_name[0]]))
-    collector.variants.append(variant._replace(columns=tuple(equal), own=variant.columns))
+    each: dict[tuple[str, tuple[str, ...]], list[int]] = {}
+    for i in variant.columns:
+        each.setdefault((collector.kinds[i].parameter, collector.kinds[i].mounts), []).append(i)
+    equal = tuple(
+        collector.add(
+            np.sum([collector.columns[i] for i in own], axis=0),
+            Column(parameter, None, mounts),
+            collector.scale[own[0]],
+        )
+        for (parameter, mounts), own in each.items()
+    )
+    collector.variants.append(variant._replace(columns=equal, own=variant.columns))
 
 
 def _starts(
