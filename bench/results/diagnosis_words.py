@@ -287,15 +287,19 @@ def verdict_in_words(diagnosis: Diagnosis) -> str:
     return "; ".join(filter(None, told))
 
 
+LIKELY: Final = 0.3
+"""Least probability of an answer with which a measurement is recommended as deciding."""
+
+
 def surer_in_words(proposal: Proposal | None) -> str:
     """Return duration and success probability of the procedure that can decide between names; "" if none."""
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
-    return (
-        f"to decide: procedure '{one.procedure}' ({one.hours:.1f} h) leaves one name with a probability of "
-        f"{_percent(one.answers)}"
-    )
+    what = f"procedure '{one.procedure}' ({one.hours:.1f} h) leaves one name with a probability of "
+    if one.answers < LIKELY:
+        return f"no procedure is likely to decide: {what}only {_percent(one.answers)}"
+    return f"to decide: {what}{_percent(one.answers)}"
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:

@@ -18,11 +18,20 @@ from bench.config.shipped import find_bench, find_procedure
 from bench.diagnosis import diagnose
 from bench.diagnosis.linear import make_linear
 from bench.diagnosis.mistakes.search import Mistake
-from bench.diagnosis.next_measurement import MENU, answers, following, planned_readings, propose
+from bench.diagnosis.next_measurement import (
+    MENU,
+    Chance,
+    Proposal,
+    answers,
+    following,
+    planned_readings,
+    propose,
+)
 from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, ReadingDesign, forms_everywhere
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.results.diagnosis import ProposalPart
+from bench.results.diagnosis_words import surer_in_words
 from bench.run.folder import Run
 from bench.services.requests.measuring import RunRequest
 from bench.validation import paper_bench
@@ -393,3 +402,20 @@ def test_on_real_instruments_the_person_is_asked(monkeypatch, tmp_path, answer, 
         ("next.yaml", "a-2", None)
     ] * carried_out
     assert status == (1 if carried_out else 0)
+
+
+@pytest.mark.parametrize(
+    ("answers", "said"),
+    [
+        (0.97, "to decide: procedure 'discerning' (6.3 h) leaves one name with a probability of 97 %"),
+        (
+            0.02,
+            "no procedure is likely to decide: procedure 'discerning' (6.3 h) leaves one name with a probability "
+            "of only 2 %",
+        ),
+    ],
+)
+def test_a_measurement_that_hardly_ever_decides_is_not_recommended(answers, said):
+    chance = Chance("discerning", 6.33, answers)
+    proposal = Proposal("", find_procedure("discerning"), 380.0, chances=(chance,))
+    assert surer_in_words(proposal) == said
