@@ -122,6 +122,23 @@ def test_the_same_size_in_all_accelerometers_is_no_evidence_for_a_form():
     assert sum(one.probability for one in effect.odds if one.name == UNNAMED_FORM) < 0.1
 
 
+@pytest.mark.slow
+def test_the_same_step_of_all_biases_is_confirmed_where_its_place_is_held_out():
+    """Without the pass after the step, a step in time common to all channels could be anywhere in a gap."""
+    readings = paper_run(np.random.default_rng(30), noise_v=2e-4)
+    step = 400e-6 * np.outer(readings.installation == "2", np.diag(K))
+    found = examine(replace(readings, signal=readings.signal + step))
+    assert (found.verdict, found.effects[0].name) == ("named", "turn_on_shift")
+    assert found.gap.shrinks
+    assert [fold.label for fold in found.gap.folds] == [
+        "pass 1",
+        "pass 2",
+        "pass 3",
+        "verification and free positions",
+    ]
+    assert all("turn_on_shift" in fold.gains for fold in found.gap.folds)
+
+
 def test_a_find_that_is_not_needed_beside_the_others_goes():
     """Beside the square of y that is there, a drift of z that is not there falls below any threshold."""
     one = set_up(paper_run(np.random.default_rng(21), K2=(0.0, 80e-6, 0.0)))
