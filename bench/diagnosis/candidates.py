@@ -176,7 +176,7 @@ class Candidates:
         """Collect the names of the families in order, and index the variants by family."""
         self.families = tuple(dict.fromkeys(v.family for v in self.variants))
         place = {name: i for i, name in enumerate(self.families)}
-        member = np.array([place[v.family] for v in self.variants])
+        member = np.array([place[v.family] for v in self.variants], dtype=np.intp)  # also of no variants
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
         odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
