@@ -100,18 +100,19 @@ def test_many_runs_need_no_more_candidates_than_grow_with_their_number():
 
 
 @pytest.mark.slow
-def test_what_is_too_small_for_one_run_shows_in_several_blocks(cache):
-    """Backlash of 5 arcsec in 8 blocks: rho of each about 3.5, of all about 10."""
+def test_what_is_too_small_for_one_run_shows_in_several_blocks():
+    """Backlash of 6 arcsec in 4 blocks: rho of each about 4, of all about 8."""
     rng = np.random.default_rng(21)
     tables = [
         other_block(one, rng)
-        for one in runs(8, 22, backlash_rad=np.radians(5 / 3600), directions=(1, -1, 1), noise_v=30e-6)
+        for one in runs(4, 22, backlash_rad=np.radians(6 / 3600), directions=(1, -1, 1), noise_v=30e-6)
     ]
-    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, cache)
-    assert found.linear.fixed.shape[1] == 8 * 12
+    assert diagnose(tables[0], MODEL, LIMITS, SCALE, OneThreshold()).effects == ()
+    found = diagnose(joined(tables), MODEL, LIMITS, SCALE, OneThreshold())
+    assert found.linear.fixed.shape[1] == 4 * 12
     assert [e.name for e in found.effects] == ["backlash"]
     (value,) = found.effects[0].parameters
-    assert abs(value.value - 5.0) < 4 * value.u
+    assert abs(value.value - 6.0) < 4 * value.u
     assert found.gap.after < found.gap.before
 
 

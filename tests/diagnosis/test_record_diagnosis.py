@@ -49,7 +49,6 @@ def all_the_means(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("all_the_means")
 def test_a_meter_in_an_air_bath_follows_its_temperature_late(tmp_path):
     """0.7 to 0.9 ppm/K behind 90 to 110 min, as an independent least-squares fit of the record gives."""
     found = diagnose_record(as_readings(BATH, BATH_COLUMNS, tmp_path))
