@@ -13,6 +13,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -312,6 +313,14 @@ def probability_one_outside(
     The result is from random draws with a fixed seed, hence reproducible; a probability of 0.01 is accurate
     to 0.0001. The result is limited to the range from the largest single probability to the sum of all n.
     """
+    return _one_outside(*(tuple(np.ravel(each).tolist()) for each in (value, covariance)), limit, population)
+
+
+@lru_cache(maxsize=64)  # a command asks for its verdict several times: in text, result and report
+def _one_outside(
+    values: tuple[float, ...], covariances: tuple[float, ...], limit: float, population: Population | None
+) -> float:
+    value, covariance = np.array(values), np.reshape(covariances, (len(values), -1))
     parts = [(1.0, value, covariance)] if population is None else _after(value, covariance, population)
     single = _each_outside(parts, limit)
     least, most = float(np.max(single)), min(float(np.sum(single)), 1.0)
@@ -363,8 +372,9 @@ def _union(rng: np.random.Generator, mean: Floats, covariance: Floats, limit: fl
     variances, axes = np.linalg.eigh(covariance)
     drawn = rng.standard_normal((_AT_ONCE, len(mean))) @ (axes * np.sqrt(np.maximum(variances, 0.0))).T
     below, place = special.ndtr((-limit - mean) / spread)[own], rng.random(_AT_ONCE) * single[own]
-    above = -special.ndtri(np.maximum(place - below, np.finfo(float).tiny))
-    z = np.where(place < below, special.ndtri(np.minimum(place, below)), above)
+    is_below = place < below
+    z = special.ndtri(np.where(is_below, place, np.maximum(place - below, np.finfo(float).tiny)))
+    z = np.where(is_below, z, -z)
     shift = (spread[own] * z - drawn[draws, own]) / spread[own] ** 2
     outside = np.abs(mean + drawn + shift[:, None] * covariance[own]) > limit
     outside[draws, own] = True
