@@ -70,7 +70,8 @@ def test_names_of_a_twin_are_judged_by_those_of_its_record(record, twin, word):
 
 
 @pytest.mark.slow
-def test_the_means_of_a_twin_are_drawn_from_the_model_that_was_found(tmp_path):
+def test_the_means_of_a_twin_are_drawn_from_the_model_that_was_found(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.diagnosis.record_model.BINS", 150)  # half of the means, and of the time
     readings = read_csv(switched_on(tmp_path, 3100, 20e-6, 30), ())
     found, record = diagnose_record(readings), make_record(readings)
     twin = make_record(twin_of(readings, found))
