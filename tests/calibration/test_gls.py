@@ -316,7 +316,7 @@ def commands(readings):
     return (
         ("calibrate", readings, "--json", "-"),
         ("budget", "--procedure", "quick", "--trials", 0, "--json", "-"),
-        ("require", "--accuracy", "3e-4", "--procedure", "quick", "--json", "-"),
+        ("require", "--accuracy", "1e-3", "--of", "Kyx", "--procedure", "quick", "--json", "-"),
     )
 
 

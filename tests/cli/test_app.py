@@ -134,12 +134,12 @@ def test_check_prints_the_steps_and_touches_nothing(bench):
 @pytest.mark.slow
 def test_init_writes_copies_and_never_over_a_file(bench):
     assert bench("init")[0] == 0
-    mine = Path("procedures/paper.yaml")
-    mine.write_text(mine.read_text().replace("samples: 10", "samples: 3"))
+    mine = Path("procedures/quick.yaml")
+    mine.write_text(mine.read_text().replace("samples: 5", "samples: 3"))
     assert bench("init")[0] == 0
     assert "samples: 3" in mine.read_text()
-    assert bench("check", "procedures/paper.yaml", "--bench", "config/bench-rs232.yaml")[0] in {0, 1}
-    assert bench("run", "procedures/paper.yaml", "--dry-run", "--name", "mine")[0] == 0
+    assert bench("check", "procedures/quick.yaml", "--bench", "config/bench-rs232.yaml")[0] in {0, 1}
+    assert bench("run", "procedures/quick.yaml", "--dry-run", "--name", "mine")[0] == 0
     assert set(Run(Path("runs/mine")).readings().samples) == {3}
 
 

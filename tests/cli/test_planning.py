@@ -82,6 +82,7 @@ def one_sigma():
 
 
 PAPER = ("--procedure", "paper")
+QUICK = ("--procedure", "quick")
 CLOSED = ("--estimator", "closed-form", *PAPER)
 
 
@@ -120,18 +121,18 @@ def test_json_has_everything_and_no_infinity(result):
 @pytest.mark.usefixtures("without_alternatives")
 def test_every_error_can_be_counted_and_the_priors_of_the_block_rule_at_5_g(bench, result):
     at_5_g = ("--up-to", "5g", "--all-errors", "--of")
-    status, found = result("require", "--accuracy", "3e-4", *PAPER, *at_5_g, "acceleration")
+    status, found = result("require", "--accuracy", "3e-4", *QUICK, *at_5_g, "acceleration")
     assert status == 1
     parts = {one["name"]: one["part"] for one in found["alone"]}
     assert parts["gravity"] > parts["voltmeter_error"] > parts["axis_tilt"]
     assert found["not_counted"] > found["reached"]  # the nonlinearity of the reading in use
     assert {one["verdict"] for one in found["alone"]} == {"cannot be reached"}
-    status, whole = result("require", "--accuracy", "2e-3", *PAPER, *at_5_g, "modulus", "--with-reading")
+    status, whole = result("require", "--accuracy", "2e-3", *QUICK, *at_5_g, "modulus", "--with-reading")
     assert status == 1
     assert next(one["part"] for one in whole["alone"] if one["name"] == "K3") > 0.85
     assert whole["not_counted"] == 0.0
     # the coefficients alone keep to it, and what they leave out is said to be more than it
-    asked = ("--accuracy", "2e-3", "--of", "modulus", "--up-to", "5g", *PAPER)
+    asked = ("--accuracy", "2e-3", "--of", "modulus", "--up-to", "5g", *QUICK)
     status, out, _ = bench("require", *asked, "--json", "part.json")
     part = json.loads(Path("part.json").read_text())
     assert status == 0
