@@ -89,7 +89,7 @@ RARE: Final = 1e-3
 """Prior odds of a single deviating reading against another unnamed pattern: tails of the noise look alike."""
 KIND_PRIOR: Final = (0.03, 0.01, 0.96)
 """Prior probabilities that an unnamed form with a formula, one without, or a catalogue effect is missing."""
-EQUAL: Final = 0.2
+EQUAL: Final = 0.1
 """Prior odds that an effect has the same size in all channels, against any other form of it."""
 
 

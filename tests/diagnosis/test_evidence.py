@@ -81,7 +81,7 @@ def test_an_extreme_size_of_an_effect_of_the_voltmeters_is_improbable(one):
     assert scores.variants[number, 0] == pytest.approx(expected, abs=1e-5)
 
 
-def test_the_same_size_in_all_channels_has_a_fifth_of_the_odds_of_another_form(one):
+def test_the_same_size_in_all_channels_has_a_tenth_of_the_odds_of_another_form(one):
     """Seven sets of channels and the form with equal sizes, which is about one parameter, not three."""
     data = one.whitened.reduce(one.linear.response[:, None])
     scores = Search.beside(one.whitened, ()).score(data)
@@ -92,7 +92,7 @@ def test_the_same_size_in_all_channels_has_a_fifth_of_the_odds_of_another_form(o
     (column,) = one.candidates.variants[equal].columns
     every = np.sum(one.candidates.columns[:, list(apart.columns)], axis=1)
     np.testing.assert_allclose(one.candidates.columns[:, column], every)
-    weight = np.array([0.2 if i == equal else 1.0 for i in numbers])
+    weight = np.array([0.1 if i == equal else 1.0 for i in numbers])
     expected = logsumexp(scores.variants[numbers, 0], b=weight / weight.sum())
     family = one.candidates.families.index("quadratic_nonlinearity")
     assert scores.families(one.candidates)[family, 0] == pytest.approx(expected, abs=1e-9)
