@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -221,22 +221,26 @@ def _whites(
 ) -> Iterator[tuple[Whitener, float]]:
     """Yield the map for each setting error, rad per unit of noise, with its part of `NoiseGrid.log_det`."""
     wide = _wide(linear)
-    fixed, shared = linear.fixed, linear.random[:, wide] / sigma
-    blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
+    known = settings[0] if len(settings) == 1 else None
+    blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma, known)
     half = Whitener(blocks, np.ones(len(linear)))
-    fixed, shared = half.apart(fixed), half.apart(shared)
+    fixed, shared = half.apart(linear.fixed), half.apart(linear.random[:, wide] / sigma)
+    # a setting error couples the rows of all channels, and so all coefficients of a block
+    used = [np.flatnonzero(np.any(fixed, axis=axis)) for axis in (1, 0)]
+    parts = list(coupled(fixed)) if fixed.shape[1] > FIXED else [used]
     for setting in settings:
         root = 1.0 / np.sqrt(1.0 + setting**2 * variance)
-        spans, more = _fitted(root[:, None] * fixed, root[:, None] * shared)
+        spans, more = _fitted(root[:, None] * fixed, root[:, None] * shared, parts)
         yield replace(half, root=root, fitted=spans), log_det + more + float(np.sum(np.log(root)))
 
 
 def _blocks(
-    linear: LinearSystem, local: Floats
+    linear: LinearSystem, local: Floats, known: float | None
 ) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
     """Return the `blocks` of a `Whitener`, the variances (N,) of a setting error of 1 rad, and ln |T|.
 
-    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent.
+    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent. The
+    noise includes a `known` setting error, rad per unit of noise, which leaves no variances.
     """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
@@ -253,9 +257,13 @@ def _blocks(
         alike = order[starts[sizes == size][:, None] + np.arange(size)]
         rows = _as_slice(alike.ravel())
         apart, setting = _covariances(linear, local, alike)
-        cholesky = np.linalg.cholesky(apart)
+        cholesky = np.linalg.cholesky(apart if known is None else apart + known**2 * setting)
         log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
         inverse = np.linalg.inv(cholesky)
+        if known is not None:
+            blocks.append((rows, inverse))
+            variance[rows] = 0.0
+            continue
         values, vectors = np.linalg.eigh(inverse @ setting @ np.swapaxes(inverse, 1, 2))
         blocks.append((rows, np.swapaxes(vectors, 1, 2) @ inverse))
         variance[rows] = np.maximum(values, 0.0).ravel()
@@ -277,16 +285,16 @@ def _covariances(linear: LinearSystem, local: Floats, rows: Ints) -> tuple[Float
     return apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0)
 
 
-def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
+def _fitted(
+    white: Floats, wide: Floats, parts: Iterable[Sequence[Ints]]
+) -> tuple[tuple[Span, ...], float]:
     """Return the subspaces of the columns of coefficients (N, 12 × blocks) and of other unknowns (N, k).
 
-    The columns are whitened. The second result is the contribution of the subspaces to `log_det`.
+    The columns are whitened; `parts` are rows and columns of each block's coefficients. The second result is the
+    contribution of the subspaces to `log_det`.
     """
     spans = []
     log_det = 0.0
-    # a setting error couples the rows of all channels, and so all coefficients of a block
-    used = [np.flatnonzero(np.any(white, axis=axis)) for axis in (1, 0)]
-    parts = coupled(white) if white.shape[1] > FIXED else [used]
     for rows, columns in parts:
         if not len(rows):
             continue  # no row depends on these coefficients
