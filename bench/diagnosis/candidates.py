@@ -220,10 +220,10 @@ class Collector:
     ) -> dict[int | None, Floats]:
         """Return the columns of one parameter of an effect, as `plausible_columns` does, but faster.
 
-        The columns are computed once for all rows, and set to 0 outside `mounts`, unless the effect depends
-        on earlier rows or on the path of the head.
+        The columns are computed once for all rows, and set to 0 outside `mounts`, unless the effect lasts beyond
+        them.
         """
-        if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
+        if not mounts or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
         if key not in self._everywhere:
@@ -535,8 +535,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     linear, free = collector.linear, collector.add_free
     rows = linear.rows
     add_free_patterns(collector, unit, linear.readings.series)
-    for row in range(len(linear)):
-        single = np.where(np.arange(len(linear)) == row, unit, 0.0)
+    for row, single in enumerate(unit * np.eye(len(linear))):
         channels = (0, 1, 2) if rows.channel[row] == MODULUS else (int(rows.channel[row]),)
         free(SINGLE_READING, channels, [single], f"reading {rows.reading[row] + 1}")
     for number in range(linear.settings):
@@ -549,6 +548,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
     """Yield an indicator column (N,) for each combination of `labels` that occurs in the mask `mine`."""
-    keys = list(zip(*labels, strict=True))
-    for key in dict.fromkeys(itertools.compress(keys, mine)):
-        yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
+    numbers: dict[object, int] = {}
+    number = np.array([numbers.setdefault(key, len(numbers)) for key in zip(*labels, strict=True)])
+    for one in dict.fromkeys(number[mine].tolist()):
+        yield (mine & (number == one)).astype(np.float64)

@@ -72,13 +72,14 @@ class Data:
 class Whitened:
     """The candidates at each ratio of a noise `grid`, by the scalar `products` of their whitened columns.
 
-    `kept` is a cache of scores.
+    `kept` is a cache of scores, `searches` one of searches by their known columns.
     """
 
     grid: NoiseGrid
     candidates: Candidates
     products: ColumnProducts
     kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    searches: dict[tuple[int, ...], Search] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
@@ -86,8 +87,9 @@ class Whitened:
         return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
-        """Clear the cached scores, which refer to this object and would keep its memory in use."""
+        """Clear the caches, which refer to this object and would keep its memory in use."""
         self.kept.clear()
+        self.searches.clear()
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
@@ -167,11 +169,17 @@ class Search:
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
         """Return the search for effects that a model with the columns `known` (indices) lacks."""
+        key = tuple(sorted(known))
+        search = whitened.searches[key] = whitened.searches.get(key) or cls._beside(whitened, key)
+        return search
+
+    @classmethod
+    def _beside(cls, whitened: Whitened, known: tuple[int, ...]) -> Search:
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
         inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
         log_det = np.sum(np.log(np.diagonal(inverse, axis1=1, axis2=2) / KNOWN_SIZE), axis=1)
-        return cls(whitened, tuple(known), inverse, inverse @ across, log_det)
+        return cls(whitened, known, inverse, inverse @ across, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:

@@ -155,23 +155,22 @@ class NoiseGrid:
     def products(self, columns: Floats) -> ColumnProducts:
         """Return the scalar products of columns (N, P), in the unit of the signal, whitened at each ratio."""
         first = self.white[0]
-        rows = first.apart(columns / self.sigma)
+        rows = first.apart(columns)
         # no ratio sees what the coefficients absorb: without it, differences of products lose no digits
-        rows *= first.root[:, None]
         for span in first.fitted:
             if not span.kept.any():
-                span.leave(rows, np.ones_like(span.kept))
-        rows /= first.root[:, None]
-        taken = []
+                root = first.root[span.rows][:, None]
+                rows[span.rows] -= (span.basis / root) @ ((span.basis * root).T @ rows[span.rows])
+        whole, taken = np.divide(rows.T, self.sigma, order="C"), []
         for spans in zip(*(white.fitted for white in self.white), strict=True):
             own = spans[0].rows
             along = [
                 span.basis.T * np.sqrt(1.0 - span.kept**2)[:, None] * white.root[own]
                 for span, white in zip(spans, self.white, strict=True)
             ]
-            taken.append(np.tensordot(along, rows[own], axes=1))
+            taken.append((whole[:, own] @ np.concatenate(along).T).reshape(len(whole), len(along), -1))
         weight = np.stack([white.root**2 for white in self.white])
-        return ColumnProducts(np.ascontiguousarray(rows.T), weight, np.concatenate(taken, axis=1))
+        return ColumnProducts(whole, weight, np.concatenate(taken, axis=2))
 
 
 def make_noise_grid(
@@ -328,7 +327,7 @@ class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
     Element i of `columns` (P, N) has column i, whose N rows are independent at all ratios; `weight` (ratios, N) is
-    their inverse variance. `taken` (ratios, k, P) are the parts along the fitted directions, whose products are
+    their inverse variance. `taken` (P, ratios, k) are the parts along the fitted directions, whose products are
     subtracted. With two sources of variance, one diagonalisation serves all their ratios: Patterson and Thompson,
     Biometrika 58 (1971) 545.
     """
@@ -341,7 +340,8 @@ class ColumnProducts:
         """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P, for the ratios `at`."""
         weighed = self.columns[columns] * self.weight[at][:, None]
         whole = np.tensordot(weighed, self.columns, axes=(2, 1))
-        return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
+        taken = self.taken[:, at]
+        return np.asarray(whole - np.swapaxes(taken[columns], 0, 1) @ taken.transpose(1, 2, 0))
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
@@ -349,17 +349,18 @@ class ColumnProducts:
         first, second = np.triu_indices(size, 1)
         one, other = columns[..., first].ravel(), columns[..., second].ravel()
         whole = self.weight[at] @ (self.columns[one] * self.columns[other]).T
-        taken = np.einsum("rkp,rkp->rp", self.taken[at][:, :, one], self.taken[at][:, :, other])
+        taken = self.taken[:, at]
+        whole -= np.einsum("prk,prk->rp", taken[one], taken[other])
         gram = np.empty((len(whole), *columns.shape, size))
         gram[..., range(size), range(size)] = self.square[at][:, columns]
-        gram[..., first, second] = (whole - taken).reshape(gram[..., first, second].shape)
-        gram[..., second, first] = gram[..., first, second]
+        whole = whole.reshape(*gram.shape[:-2], len(first))
+        gram[..., first, second], gram[..., second, first] = whole, whole
         return gram
 
     @cached_property
     def square(self) -> Floats:
         """The squared length of each column, shape (ratios, P)."""
-        taken = np.einsum("rkp,rkp->rp", self.taken, self.taken)
+        taken = np.einsum("prk,prk->rp", self.taken, self.taken)
         return np.asarray(self.weight @ self.columns.T**2 - taken)
 
 

@@ -75,7 +75,12 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     seen: set[tuple[int, ...]] = set()
-    for variant in candidates.variants:
+    grams = {
+        number: gram
+        for members, _, of in whitened.blocks
+        for number, gram in zip(members.tolist(), of[ratio], strict=True)
+    }
+    for number, variant in enumerate(candidates.variants):
         sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
             of = {p.name: p for p in sized if p.unit == unit}
@@ -90,7 +95,9 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                 if columns in seen:
                     continue  # another variant has the same parameters in this channel
                 seen.add(columns)
-                one = _smallest_of(whitened.among(ratio, columns), [of[name] for name in own], half)
+                places = [variant.columns.index(column) for column in columns]
+                gram = grams[number][np.ix_(places, places)]
+                one = _smallest_of(gram, [of[name] for name in own], half)
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
                     known[unit] = one
@@ -477,9 +484,10 @@ def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
-    own = _waves(angles, order)
-    others = (k for k in range(1, round(360.0 / MARK_DEG) + 1) if k != order)
-    return tuple(k for k in others if _left(_waves(angles, k), own) < ALIKE)
+    others = [k for k in range(1, round(360.0 / MARK_DEG) + 1) if k != order]
+    waves = np.concatenate([_waves(angles, k) for k in others], axis=1)
+    left = _left(waves, _waves(angles, order)).reshape(-1, 2).max(axis=1)
+    return tuple(k for k, most in zip(others, left.tolist(), strict=True) if most < ALIKE)
 
 
 def order_of(applied: AppliedEffect) -> int | None:
@@ -498,8 +506,8 @@ def _waves(angle_rad: Floats, order: int) -> Floats:
     return np.stack([np.cos(order * angle_rad), np.sin(order * angle_rad)], axis=1)
 
 
-def _left(waves: Floats, own: Floats) -> float:
-    """Return the largest fraction of the square of any of the `waves` that the `own` waves leave unexplained."""
+def _left(waves: Floats, own: Floats) -> Floats:
+    """Return the fraction of the square of each of the `waves` (n, k) that the `own` waves leave unexplained."""
     size = np.maximum(np.sum(waves**2, axis=0), 1e-12 * len(waves))
     fitted = own @ np.linalg.lstsq(own, waves, rcond=INSEPARABLE)[0]
-    return float(np.max(np.sum((waves - fitted) ** 2, axis=0) / size, initial=0.0))
+    return np.asarray(np.sum((waves - fitted) ** 2, axis=0) / size)
