@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Final, NamedTuple
 
@@ -156,35 +157,73 @@ class Candidates:
     """All variants that the search compares, with the columns that they need.
 
     `columns` (N, P) are the changes of the rows by one plausible size of each parameter, which `kinds`
-    describes; `scale` (P,) are these sizes in SI, 1 for unnamed families. `by_family` has the indices of the
-    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `share`, in this order,
-    are their prior probabilities, given the family. `log_prior` (families,) is ln of the probability that a family
-    is the one that is missing.
+    describes; `scale` (P,) are these sizes in SI, 1 for unnamed families.
     """
 
     columns: Floats
     kinds: tuple[Column, ...]
     scale: Floats
     variants: tuple[Variant, ...]
-    families: tuple[str, ...] = field(init=False)
-    by_family: Ints = field(init=False)
-    family_starts: Ints = field(init=False)
-    share: Floats = field(init=False)
-    log_prior: Floats = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Collect the names of the families in order, and index the variants by family."""
-        self.families = tuple(dict.fromkeys(v.family for v in self.variants))
+    def with_columns(self, columns: Floats, scale: Floats | None = None) -> Candidates:
+        """Return the same variants with other `columns` (N, P), such as those of fewer rows, and other `scale`."""
+        other = copy(self)  # with all that follows from the variants
+        other.columns, other.scale = columns, self.scale if scale is None else scale
+        return other
+
+    @cached_property
+    def families(self) -> tuple[str, ...]:
+        """The names of the families in order."""
+        return tuple(dict.fromkeys(v.family for v in self.variants))
+
+    @cached_property
+    def _by_family(self) -> tuple[Ints, Ints, Floats]:
         place = {name: i for i, name in enumerate(self.families)}
         member = np.array([place[v.family] for v in self.variants])
-        self.by_family = np.argsort(member, kind="stable")
-        self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
+        order = np.argsort(member, kind="stable")
+        starts = np.searchsorted(member[order], np.arange(len(self.families)))
         odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
-        self.share = (odds / np.bincount(member, odds)[member])[self.by_family]
+        return order, starts, (odds / np.bincount(member, odds)[member])[order]
+
+    @property
+    def by_family(self) -> Ints:
+        """The indices of the variants, sorted by family."""
+        return self._by_family[0]
+
+    @property
+    def family_starts(self) -> Ints:
+        """The places in `by_family` where the variants of each family begin."""
+        return self._by_family[1]
+
+    @property
+    def share(self) -> Floats:
+        """The prior probabilities of the variants, given their family, in the order of `by_family`."""
+        return self._by_family[2]
+
+    @cached_property
+    def log_prior(self) -> Floats:
+        """ln of the probability that a family is the one that is missing, shape (families,)."""
         kinds = [2 if name in CATALOGUE else 1 if name in UNNAMED else 0 for name in self.families]
         share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
         share[[name in SINGLE for name in self.families]] *= RARE
-        self.log_prior = np.log(share / share.sum())
+        return np.asarray(np.log(share / share.sum()))
+
+    @cached_property
+    def by_size(self) -> tuple[tuple[Ints, Ints], ...]:
+        """Indices (v,) and columns (v, p) of all variants with p columns, for each p."""
+        groups: dict[int, list[int]] = {}
+        for number, variant in enumerate(self.variants):
+            groups.setdefault(len(variant.columns), []).append(number)
+        return tuple(
+            (np.array(members), np.array([self.variants[m].columns for m in members]))
+            for members in groups.values()
+        )
+
+    @cached_property
+    def places(self) -> dict[int, tuple[int, int]]:
+        """For each variant, the index of its group in `by_size`, and its place there."""
+        groups = enumerate(members.tolist() for members, _ in self.by_size)
+        return {number: (group, place) for group, own in groups for place, number in enumerate(own)}
 
     @cached_property
     def equal(self) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
@@ -260,10 +299,11 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     Terms that follow the same course and act on the same quantity are one family, in whatever channels they act.
     """
     columns = [candidates.columns.T]
+    kinds_of = {c: [Column(size, c) for size in SIZE_NAMES] for c in (None, 0, 1, 2)}
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channel, changes in dictionary(linear):
         places = tuple(range(len(kinds), len(kinds) + len(changes)))
-        kinds += [Column(size, channel) for size in SIZE_NAMES[: len(changes)]]
+        kinds += kinds_of[channel][: len(changes)]
         scale += [term.unit.plausible] * len(changes)
         columns.append(changes)
         variants.append(Variant(term.family, places, (0, 1, 2) if channel is None else (channel,), term=term))

@@ -107,14 +107,14 @@ class Whitened:
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Groups of variants with p columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
-        by_size: dict[int, list[int]] = {}
-        for number, variant in enumerate(self.candidates.variants):
-            by_size.setdefault(len(variant.columns), []).append(number)
         return tuple(
-            (np.array(members), columns, self.products.among(columns))
-            for members in by_size.values()
-            for columns in (np.array([self.candidates.variants[m].columns for m in members]),)
+            (members, columns, self.products.among(columns)) for members, columns in self.candidates.by_size
         )
+
+    def gram(self, ratio: int, number: int) -> Floats:
+        """Return the Gram matrix (p, p) of the columns of variant `number` at a noise ratio."""
+        group, place = self.candidates.places[number]
+        return np.asarray(self.blocks[group][2][ratio, place])
 
     def reduce(self, response: Floats) -> Data:
         """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
@@ -202,9 +202,12 @@ class Search:
         values, vectors = _eigen(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
-    def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out."""
-        gram = self.whitened.among(ratio, columns)
+    def between(self, ratio: int, columns: Sequence[int], number: int | None = None) -> Floats:
+        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out.
+
+        They may be the columns of the variant `number`.
+        """
+        gram = self.whitened.among(ratio, columns) if number is None else self.whitened.gram(ratio, number)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 

@@ -343,7 +343,7 @@ def _fold(
 ) -> Fold:
     """Search the rows outside the mask `held` (N,); predict those in it without and with the effects."""
     part, candidates = restrict(linear, ~held), whitened.candidates
-    kept = replace(candidates, columns=candidates.columns[~held])
+    kept = candidates.with_columns(candidates.columns[~held])
 
     def predict(columns: Sequence[int]) -> HeldOut:
         return held_out(linear, candidates.columns[:, list(columns)], noise, held)

@@ -75,11 +75,6 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     seen: set[tuple[int, ...]] = set()
-    grams = {
-        number: gram
-        for members, _, of in whitened.blocks
-        for number, gram in zip(members.tolist(), of[ratio], strict=True)
-    }
     for number, variant in enumerate(candidates.variants):
         sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
@@ -96,7 +91,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                     continue  # another variant has the same parameters in this channel
                 seen.add(columns)
                 places = [variant.columns.index(column) for column in columns]
-                gram = grams[number][np.ix_(places, places)]
+                gram = whitened.gram(ratio, number)[np.ix_(places, places)]
                 one = _smallest_of(gram, [of[name] for name in own], half)
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
