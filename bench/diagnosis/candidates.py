@@ -321,19 +321,22 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     Each whitened column of such a pattern lies, up to `ALIKE`, in the span of one shape of an effect.
     """
     own: dict[tuple[object, ...], set[int]] = {}
-    for variant in candidates.variants:
-        if variant.named:
-            own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
-    unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
+    named = [variant.named for variant in candidates.variants]
+    for variant in itertools.compress(candidates.variants, named):
+        own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
+    every = set(range(len(candidates.kinds)))
+    unnamed = sorted(every.difference(*(v.columns for v in itertools.compress(candidates.variants, named))))
     columns = (white @ candidates.columns).T
-    left, same, bases = columns[unnamed], np.zeros(len(columns), dtype=bool), []
+    left, bases = columns[unnamed], []
     for of_effect in own.values():
         size, basis = np.linalg.svd(columns[sorted(of_effect)], full_matrices=False)[1:]
         bases.append(basis[size > 1e-9 * size[0]])
     starts = np.cumsum([0, *map(len, bases[:-1])])
-    explained = np.add.reduceat((left @ np.concatenate(bases).T) ** 2, starts, axis=1)
-    same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=1, keepdims=True), axis=1)
-    kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
+    along = left @ np.concatenate(bases).T
+    explained = np.add.reduceat(np.square(along, out=along), starts, axis=1)
+    same = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=1, keepdims=True), axis=1)
+    copies = set(itertools.compress(unnamed, same.tolist()))
+    kept = tuple(v for v in candidates.variants if not copies.issuperset(v.columns))
     return replace(candidates, variants=kept)
 
 
