@@ -124,9 +124,10 @@ class Whitened:
         for start in range(0, sets, CHUNK):
             part = slice(start, start + CHUNK)
             residual = response[:, part] / sigma
-            weighed = np.stack([one.weigh(residual) for one in white])
-            square[:, part] = np.einsum("ns,rns->rs", residual, weighed)
-            along[:, :, part] = self.candidates.columns.T @ (weighed / sigma)
+            weighed = np.stack([one.weigh(residual) for one in white], axis=1)
+            square[:, part] = np.einsum("ns,nrs->rs", residual, weighed)
+            whole = self.candidates.columns.T @ (weighed / sigma).reshape(len(residual), -1)
+            along[:, :, part] = np.swapaxes(whole.reshape(-1, *weighed.shape[1:]), 0, 1)
         return Data(square, along)
 
 
@@ -256,7 +257,7 @@ class Search:
         for group in self.groups:
             squares = group.squares(left)
             # in place: a new array for each step would take as long as the logarithms
-            logs = np.empty((len(SIZES), *np.delete(squares.shape, 2)))
+            logs = np.empty((len(SIZES), *squares.shape[:2], squares.shape[3]))
             for rest, size, log_weight in zip(logs, SIZES, log_weights[:, group.members], strict=True):
                 weight = 1.0 / (group.values + 1.0 / size**2)
                 np.matmul(weight[:, :, None], squares, out=rest[:, :, None])

@@ -209,9 +209,12 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 def _wide(linear: LinearSystem) -> Mask:
     """Return the mask (q,) of `random` columns that act in more rows than a run has, or than `FEW` of all.
 
-    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same.
+    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same. In a single
+    run, few columns are all fitted.
     """
-    most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    runs = len(np.unique(linear.readings.run))
+    few = runs == 1 and linear.random.shape[1] <= FEW * len(linear)
+    most = -1.0 if few else min(FEW, 1.0 / runs) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
@@ -279,14 +282,15 @@ def _covariances(linear: LinearSystem, local: Floats, rows: Ints) -> tuple[Float
         joined = local[own]
         joined = joined[:, np.any(joined, axis=0)]
         apart[number] += joined @ joined.T
-    setting, slope = linear.setting[rows], linear.slope[rows]
-    same = setting[:, :, None] == setting[:, None, :]
-    return apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0)
+    slope = linear.slope[rows]
+    along = slope[:, :, None] * slope[:, None, :]
+    if local.shape[1]:  # otherwise, a block has one setting
+        setting = linear.setting[rows]
+        along[setting[:, :, None] != setting[:, None, :]] = 0.0
+    return apart, along
 
 
-def _fitted(
-    white: Floats, wide: Floats, parts: Iterable[Sequence[Ints]]
-) -> tuple[tuple[Span, ...], float]:
+def _fitted(white: Floats, wide: Floats, parts: Iterable[Sequence[Ints]]) -> tuple[tuple[Span, ...], float]:
     """Return the subspaces of the columns of coefficients (N, 12 × blocks) and of other unknowns (N, k).
 
     The columns are whitened; `parts` are rows and columns of each block's coefficients. The second result is the

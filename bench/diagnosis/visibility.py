@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby, product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -126,9 +126,9 @@ def hidden(
         / half_power(whitened, threshold.value)
     )
     best: dict[tuple[str, str, str], float] = {}
-    for variant in candidates.variants:
+    for variant in (variant for variant in candidates.variants if variant.named):
         shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
-        for column in variant.sizes if variant.named else ():
+        for column in variant.sizes:
             key = (variant.family, candidates.kinds[column].parameter, f" ({shape})" if shape else "")
             best[key] = max(best.get(key, 0.0), float(seen[column]))
     unseen: dict[str, tuple[str, ...]] = {}
@@ -180,7 +180,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
             if p.is_size
             for channel in ((0, 1, 2) if p.per_channel else (None,))
         )
-        for shape in itertools.product(*grids)
+        for shape in product(*grids)
     )
 
 
@@ -250,15 +250,16 @@ class ReadingDesign:
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
         self.seen(tuple(part for form in rivals for part in form))
-        for form in rivals:
-            other = self.seen(form)
-            left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]
-            least = min(least, float(left @ left))
+        for _, forms in groupby(sorted(rivals, key=len), len):
+            basis, size, _ = np.linalg.svd([self.seen(form) for form in forms], full_matrices=False)
+            along = (size > 1e-9 * size[:, :1]) * (one @ basis)
+            left = one - np.sum(basis * along[:, None], axis=2)
+            least = min(least, float(np.min(np.sum(left**2, axis=1))))
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
         """Return the signal-to-noise ratio of a plausible size in the best of `forms`, beside unknowns."""
-        return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
+        return float(np.linalg.svd([self.seen(form) for form in forms], compute_uv=False).max())
 
 
 # --- patterns of the residuals: where readings and model disagree ------------------------------------
