@@ -209,6 +209,11 @@ class Candidates:
         return np.asarray(np.log(share / share.sum()))
 
     @cached_property
+    def of_meter(self) -> Mask:
+        """The mask (variants,) of the effects of the voltmeters."""
+        return np.array([v.stage is Stage.VOLTMETER_READING for v in self.variants])
+
+    @cached_property
     def by_size(self) -> tuple[tuple[Ints, Ints], ...]:
         """Indices (v,) and columns (v, p) of all variants with p columns, for each p."""
         groups: dict[int, list[int]] = {}

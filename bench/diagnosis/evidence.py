@@ -32,7 +32,7 @@ from bench.diagnosis.levels import CHUNK, FARTHEST, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
-from bench.model.effects import FormulaEffect, Stage
+from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0, 80.0)
 """Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger, extreme.
@@ -99,10 +99,8 @@ class Whitened:
     @cached_property
     def log_weights(self) -> Floats:
         """ln of the prior probability of each of `SIZES` for each variant, (sizes, variants)."""
-        meter = [v.stage is Stage.VOLTMETER_READING for v in self.candidates.variants]
-        return np.where(
-            meter, np.array(LOG_SIZE_WEIGHTS_OF_METER)[:, None], np.array(LOG_SIZE_WEIGHTS)[:, None]
-        )
+        of_meter, others = (np.array(one)[:, None] for one in (LOG_SIZE_WEIGHTS_OF_METER, LOG_SIZE_WEIGHTS))
+        return np.where(self.candidates.of_meter, of_meter, others)
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:

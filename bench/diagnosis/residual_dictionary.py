@@ -137,7 +137,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """
     terms = list(_terms(linear))
     for term, changes in zip(terms, _changes(linear, terms), strict=True):
-        shown = changes.any(axis=(0, 2)).tolist()
+        shown = np.asarray(changes.any(axis=(0, 2))).tolist()
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
                 yield term, channel, changes[:, channel]
