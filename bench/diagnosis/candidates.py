@@ -177,28 +177,25 @@ class Candidates:
         return tuple(dict.fromkeys(v.family for v in self.variants))
 
     @cached_property
-    def _by_family(self) -> tuple[Ints, Ints, Floats]:
+    def _member(self) -> Ints:
         place = {name: i for i, name in enumerate(self.families)}
-        member = np.array([place[v.family] for v in self.variants])
-        order = np.argsort(member, kind="stable")
-        starts = np.searchsorted(member[order], np.arange(len(self.families)))
-        odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
-        return order, starts, (odds / np.bincount(member, odds)[member])[order]
+        return np.array([place[v.family] for v in self.variants])
 
-    @property
+    @cached_property
     def by_family(self) -> Ints:
         """The indices of the variants, sorted by family."""
-        return self._by_family[0]
+        return np.argsort(self._member, kind="stable")
 
-    @property
+    @cached_property
     def family_starts(self) -> Ints:
         """The places in `by_family` where the variants of each family begin."""
-        return self._by_family[1]
+        return np.searchsorted(self._member[self.by_family], np.arange(len(self.families)))
 
-    @property
+    @cached_property
     def share(self) -> Floats:
         """The prior probabilities of the variants, given their family, in the order of `by_family`."""
-        return self._by_family[2]
+        odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
+        return np.asarray((odds / np.bincount(self._member, odds)[self._member])[self.by_family])
 
     @cached_property
     def log_prior(self) -> Floats:
