@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from copy import copy
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Final, NamedTuple
 
@@ -156,35 +157,75 @@ class Candidates:
     """All variants that the search compares, with the columns that they need.
 
     `columns` (N, P) are the changes of the rows by one plausible size of each parameter, which `kinds`
-    describes; `scale` (P,) are these sizes in SI, 1 for unnamed families. `by_family` has the indices of the
-    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `share`, in this order,
-    are their prior probabilities, given the family. `log_prior` (families,) is ln of the probability that a family
-    is the one that is missing.
+    describes; `scale` (P,) are these sizes in SI, 1 for unnamed families.
     """
 
     columns: Floats
     kinds: tuple[Column, ...]
     scale: Floats
     variants: tuple[Variant, ...]
-    families: tuple[str, ...] = field(init=False)
-    by_family: Ints = field(init=False)
-    family_starts: Ints = field(init=False)
-    share: Floats = field(init=False)
-    log_prior: Floats = field(init=False)
 
-    def __post_init__(self) -> None:
-        """Collect the names of the families in order, and index the variants by family."""
-        self.families = tuple(dict.fromkeys(v.family for v in self.variants))
+    def with_columns(self, columns: Floats, scale: Floats | None = None) -> Candidates:
+        """Return the same variants with other `columns` (N, P), such as those of fewer rows, and other `scale`."""
+        other = copy(self)  # with all that follows from the variants
+        other.columns, other.scale = columns, self.scale if scale is None else scale
+        return other
+
+    @cached_property
+    def families(self) -> tuple[str, ...]:
+        """The names of the families in order."""
+        return tuple(dict.fromkeys(v.family for v in self.variants))
+
+    @cached_property
+    def _member(self) -> Ints:
         place = {name: i for i, name in enumerate(self.families)}
-        member = np.array([place[v.family] for v in self.variants], dtype=np.intp)  # also of no variants
-        self.by_family = np.argsort(member, kind="stable")
-        self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
+        return np.array([place[v.family] for v in self.variants], dtype=np.intp)  # also of no variants
+
+    @cached_property
+    def by_family(self) -> Ints:
+        """The indices of the variants, sorted by family."""
+        return np.argsort(self._member, kind="stable")
+
+    @cached_property
+    def family_starts(self) -> Ints:
+        """The places in `by_family` where the variants of each family begin."""
+        return np.searchsorted(self._member[self.by_family], np.arange(len(self.families)))
+
+    @cached_property
+    def share(self) -> Floats:
+        """The prior probabilities of the variants, given their family, in the order of `by_family`."""
         odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
-        self.share = (odds / np.bincount(member, odds)[member])[self.by_family]
+        return np.asarray((odds / np.bincount(self._member, odds)[self._member])[self.by_family])
+
+    @cached_property
+    def log_prior(self) -> Floats:
+        """ln of the probability that a family is the one that is missing, shape (families,)."""
         kinds = [2 if name in CATALOGUE else 1 if name in UNNAMED else 0 for name in self.families]
         share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
         share[[name in SINGLE for name in self.families]] *= RARE
-        self.log_prior = np.log(share / share.sum())
+        return np.asarray(np.log(share / share.sum()))
+
+    @cached_property
+    def of_meter(self) -> Mask:
+        """The mask (variants,) of the effects of the voltmeters."""
+        return np.array([v.stage is Stage.VOLTMETER_READING for v in self.variants], dtype=np.bool_)
+
+    @cached_property
+    def by_size(self) -> tuple[tuple[Ints, Ints], ...]:
+        """Indices (v,) and columns (v, p) of all variants with p columns, for each p."""
+        groups: dict[int, list[int]] = {}
+        for number, variant in enumerate(self.variants):
+            groups.setdefault(len(variant.columns), []).append(number)
+        return tuple(
+            (np.array(members), np.array([self.variants[m].columns for m in members]))
+            for members in groups.values()
+        )
+
+    @cached_property
+    def places(self) -> dict[int, tuple[int, int]]:
+        """For each variant, the index of its group in `by_size`, and its place there."""
+        groups = enumerate(members.tolist() for members, _ in self.by_size)
+        return {number: (group, place) for group, own in groups for place, number in enumerate(own)}
 
     @cached_property
     def equal(self) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
@@ -220,10 +261,10 @@ class Collector:
     ) -> dict[int | None, Floats]:
         """Return the columns of one parameter of an effect, as `plausible_columns` does, but faster.
 
-        The columns are computed once for all rows, and set to 0 outside `mounts`, unless the effect depends
-        on earlier rows or on the path of the head.
+        The columns are computed once for all rows, and set to 0 outside `mounts`, unless the effect lasts beyond
+        them.
         """
-        if not mounts or effect.needs_history or effect.needs_path or effect.lasts:
+        if not mounts or effect.lasts:
             return plausible_columns(self.linear, effect, parameter, shape, mounts)
         key = (effect.name, parameter.name, shape)
         if key not in self._everywhere:
@@ -260,10 +301,11 @@ def with_terms(candidates: Candidates, linear: LinearSystem) -> Candidates:
     Terms that follow the same course and act on the same quantity are one family, in whatever channels they act.
     """
     columns = [candidates.columns.T]
+    kinds_of = {c: [Column(size, c) for size in SIZE_NAMES] for c in (None, 0, 1, 2)}
     kinds, scale, variants = list(candidates.kinds), candidates.scale.tolist(), list(candidates.variants)
     for term, channel, changes in dictionary(linear):
         places = tuple(range(len(kinds), len(kinds) + len(changes)))
-        kinds += [Column(size, channel) for size in SIZE_NAMES[: len(changes)]]
+        kinds += kinds_of[channel][: len(changes)]
         scale += [term.unit.plausible] * len(changes)
         columns.append(changes)
         variants.append(Variant(term.family, places, (0, 1, 2) if channel is None else (channel,), term=term))
@@ -281,19 +323,22 @@ def without_copies(candidates: Candidates, white: Whitener) -> Candidates:
     Each whitened column of such a pattern lies, up to `ALIKE`, in the span of one shape of an effect.
     """
     own: dict[tuple[object, ...], set[int]] = {}
-    for variant in candidates.variants:
-        if variant.named:
-            own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
-    unnamed = sorted({c for v in candidates.variants if not v.named for c in v.columns})
+    named = [variant.named for variant in candidates.variants]
+    for variant in itertools.compress(candidates.variants, named):
+        own.setdefault((variant.family, variant.shape), set()).update(variant.sizes)
+    every = set(range(len(candidates.kinds)))
+    unnamed = sorted(every.difference(*(v.columns for v in itertools.compress(candidates.variants, named))))
     columns = (white @ candidates.columns).T
-    left, same, bases = columns[unnamed], np.zeros(len(columns), dtype=bool), []
+    left, bases = columns[unnamed], []
     for of_effect in own.values():
         size, basis = np.linalg.svd(columns[sorted(of_effect)], full_matrices=False)[1:]
         bases.append(basis[size > 1e-9 * size[0]])
     starts = np.cumsum([0, *map(len, bases[:-1])])
-    explained = np.add.reduceat((left @ np.concatenate(bases).T) ** 2, starts, axis=1)
-    same[unnamed] = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=1, keepdims=True), axis=1)
-    kept = tuple(v for v in candidates.variants if v.named or not all(same[c] for c in v.columns))
+    along = left @ np.concatenate(bases).T
+    explained = np.add.reduceat(np.square(along, out=along), starts, axis=1)
+    same = np.any(explained >= (1.0 - ALIKE) * np.sum(left**2, axis=1, keepdims=True), axis=1)
+    copies = set(itertools.compress(unnamed, same.tolist()))
+    kept = tuple(v for v in candidates.variants if not copies.issuperset(v.columns))
     return replace(candidates, variants=kept)
 
 
@@ -535,8 +580,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
     linear, free = collector.linear, collector.add_free
     rows = linear.rows
     add_free_patterns(collector, unit, linear.readings.series)
-    for row in range(len(linear)):
-        single = np.where(np.arange(len(linear)) == row, unit, 0.0)
+    for row, single in enumerate(unit * np.eye(len(linear))):
         channels = (0, 1, 2) if rows.channel[row] == MODULUS else (int(rows.channel[row]),)
         free(SINGLE_READING, channels, [single], f"reading {rows.reading[row] + 1}")
     for number in range(linear.settings):
@@ -549,6 +593,7 @@ def _add_unnamed(collector: Collector, unit: float) -> None:
 
 def each(mine: Mask, *labels: Iterable[object]) -> Iterator[Floats]:
     """Yield an indicator column (N,) for each combination of `labels` that occurs in the mask `mine`."""
-    keys = list(zip(*labels, strict=True))
-    for key in dict.fromkeys(itertools.compress(keys, mine)):
-        yield np.array([own and k == key for k, own in zip(keys, mine, strict=True)], dtype=np.float64)
+    numbers: dict[object, int] = {}
+    number = np.array([numbers.setdefault(key, len(numbers)) for key in zip(*labels, strict=True)])
+    for one in dict.fromkeys(number[mine].tolist()):
+        yield (mine & (number == one)).astype(np.float64)

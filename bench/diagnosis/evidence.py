@@ -32,7 +32,7 @@ from bench.diagnosis.levels import CHUNK, FARTHEST, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, NoiseGrid
 from bench.model import CATALOGUE
-from bench.model.effects import FormulaEffect, Stage
+from bench.model.effects import FormulaEffect
 
 SIZES: Final = (1.0, 4.0, 20.0, 80.0)
 """Prior standard deviations of an effect, in plausible sizes: plausible, a few times larger, far larger, extreme.
@@ -72,13 +72,14 @@ class Data:
 class Whitened:
     """The candidates at each ratio of a noise `grid`, by the scalar `products` of their whitened columns.
 
-    `kept` is a cache of scores.
+    `kept` is a cache of scores, `searches` one of searches by their known columns.
     """
 
     grid: NoiseGrid
     candidates: Candidates
     products: ColumnProducts
     kept: dict[Any, Any] = field(default_factory=dict, compare=False, repr=False)
+    searches: dict[tuple[int, ...], Search] = field(default_factory=dict, compare=False, repr=False)
 
     @classmethod
     def of(cls, grid: NoiseGrid, candidates: Candidates) -> Whitened:
@@ -86,8 +87,9 @@ class Whitened:
         return cls(grid, candidates, grid.products(candidates.columns))
 
     def forget(self) -> None:
-        """Clear the cached scores, which refer to this object and would keep its memory in use."""
+        """Clear the caches, which refer to this object and would keep its memory in use."""
         self.kept.clear()
+        self.searches.clear()
 
     def among(self, ratio: int, columns: Sequence[int]) -> Floats:
         """Return the Gram matrix (k, k) of the k `columns` at the noise ratio with the index `ratio`."""
@@ -97,22 +99,20 @@ class Whitened:
     @cached_property
     def log_weights(self) -> Floats:
         """ln of the prior probability of each of `SIZES` for each variant, (sizes, variants)."""
-        meter = [v.stage is Stage.VOLTMETER_READING for v in self.candidates.variants]
-        return np.where(
-            meter, np.array(LOG_SIZE_WEIGHTS_OF_METER)[:, None], np.array(LOG_SIZE_WEIGHTS)[:, None]
-        )
+        of_meter, others = (np.array(one)[:, None] for one in (LOG_SIZE_WEIGHTS_OF_METER, LOG_SIZE_WEIGHTS))
+        return np.where(self.candidates.of_meter, of_meter, others)
 
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Groups of variants with p columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
-        by_size: dict[int, list[int]] = {}
-        for number, variant in enumerate(self.candidates.variants):
-            by_size.setdefault(len(variant.columns), []).append(number)
         return tuple(
-            (np.array(members), columns, self.products.among(columns))
-            for members in by_size.values()
-            for columns in (np.array([self.candidates.variants[m].columns for m in members]),)
+            (members, columns, self.products.among(columns)) for members, columns in self.candidates.by_size
         )
+
+    def gram(self, ratio: int, number: int) -> Floats:
+        """Return the Gram matrix (p, p) of the columns of variant `number` at a noise ratio."""
+        group, place = self.candidates.places[number]
+        return np.asarray(self.blocks[group][2][ratio, place])
 
     def reduce(self, response: Floats) -> Data:
         """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
@@ -122,9 +122,10 @@ class Whitened:
         for start in range(0, sets, CHUNK):
             part = slice(start, start + CHUNK)
             residual = response[:, part] / sigma
-            weighed = np.stack([one.weigh(residual) for one in white])
-            square[:, part] = np.einsum("ns,rns->rs", residual, weighed)
-            along[:, :, part] = self.candidates.columns.T @ (weighed / sigma)
+            weighed = np.stack([one.weigh(residual) for one in white], axis=1)
+            square[:, part] = np.einsum("ns,nrs->rs", residual, weighed)
+            whole = self.candidates.columns.T @ (weighed / sigma).reshape(len(residual), -1)
+            along[:, :, part] = np.swapaxes(whole.reshape(-1, *weighed.shape[1:]), 0, 1)
         return Data(square, along)
 
 
@@ -167,11 +168,17 @@ class Search:
     @classmethod
     def beside(cls, whitened: Whitened, known: Sequence[int]) -> Search:
         """Return the search for effects that a model with the columns `known` (indices) lacks."""
+        key = tuple(sorted(known))
+        search = whitened.searches[key] = whitened.searches.get(key) or cls._beside(whitened, key)
+        return search
+
+    @classmethod
+    def _beside(cls, whitened: Whitened, known: tuple[int, ...]) -> Search:
         h = np.array(known, dtype=np.int64)
         across = whitened.products.across(h)
         inverse = np.linalg.inv(np.linalg.cholesky(across[:, :, h] + np.eye(len(h)) / KNOWN_SIZE**2))
         log_det = np.sum(np.log(np.diagonal(inverse, axis1=1, axis2=2) / KNOWN_SIZE), axis=1)
-        return cls(whitened, tuple(known), inverse, inverse @ across, log_det)
+        return cls(whitened, known, inverse, inverse @ across, log_det)
 
     @cached_property
     def groups(self) -> tuple[Group, ...]:
@@ -194,9 +201,12 @@ class Search:
         values, vectors = _eigen(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
-    def between(self, ratio: int, columns: Sequence[int]) -> Floats:
-        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out."""
-        gram = self.whitened.among(ratio, columns)
+    def between(self, ratio: int, columns: Sequence[int], number: int | None = None) -> Floats:
+        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out.
+
+        They may be the columns of the variant `number`.
+        """
+        gram = self.whitened.among(ratio, columns) if number is None else self.whitened.gram(ratio, number)
         seen = self.half[ratio][:, list(columns)]
         return np.asarray(gram - seen.T @ seen)
 
@@ -245,7 +255,7 @@ class Search:
         for group in self.groups:
             squares = group.squares(left)
             # in place: a new array for each step would take as long as the logarithms
-            logs = np.empty((len(SIZES), *np.delete(squares.shape, 2)))
+            logs = np.empty((len(SIZES), *squares.shape[:2], squares.shape[3]))
             for rest, size, log_weight in zip(logs, SIZES, log_weights[:, group.members], strict=True):
                 weight = 1.0 / (group.values + 1.0 / size**2)
                 np.matmul(weight[:, :, None], squares, out=rest[:, :, None])

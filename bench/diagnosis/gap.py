@@ -255,17 +255,22 @@ def measure_gap(
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)
     )
-    if not parts:
-        parts = list(folds_of(linear))
-        every = all(determined(linear, ~held) for _, held in parts)
-        if not every or not _tell(linear, whitened.candidates, naming, noise, parts):
-            thirds = list(thirds_of(linear))
-            parts = thirds if all(determined(linear, ~held) for _, held in thirds) else parts
-    able = [(label, held) for label, held in parts if determined(linear, ~held)]
+    asked, parts = bool(parts), parts or list(folds_of(linear))
+    able = _able(linear, parts)
+    every = len(able) == len(parts)
+    if not asked and not (every and _tell(linear, whitened.candidates, naming, noise, parts)):
+        thirds = list(thirds_of(linear))
+        if len(of_thirds := _able(linear, thirds)) == len(thirds):
+            parts, able = thirds, of_thirds
     folds = tuple(hold(label, held) for label, held in tracked(able, HELD_OUT))
     undetermined = tuple(label for label, _ in parts if label not in dict(able))
     families = tuple(one.variant.family for one in naming.found)
     return Gap(folds, noise, linear.readings.unit, families, undetermined)
+
+
+def _able(linear: LinearSystem, parts: Sequence[tuple[str, Mask]]) -> list[tuple[str, Mask]]:
+    """Return the parts that can be held out, because the other rows determine the coefficients."""
+    return [(label, held) for label, held in parts if determined(linear, ~held)]
 
 
 def _tell(
@@ -343,7 +348,7 @@ def _fold(
 ) -> Fold:
     """Search the rows outside the mask `held` (N,); predict those in it without and with the effects."""
     part, candidates = restrict(linear, ~held), whitened.candidates
-    kept = replace(candidates, columns=candidates.columns[~held])
+    kept = candidates.with_columns(candidates.columns[~held])
 
     def predict(columns: Sequence[int]) -> HeldOut:
         return held_out(linear, candidates.columns[:, list(columns)], noise, held)

@@ -473,7 +473,7 @@ def _columns(
     beyond = np.concatenate([view.moduli, view.inputs])
     for j in range(len(problem.stand), len(problem.prior_u)):
         whole[beyond, :, FIXED + j] = own_column(problem, block, view, j)[beyond]
-    columns = np.stack([view.rows_of(whole[:, :, j]) for j in range(whole.shape[2])], axis=1)
+    columns = view.rows_of(whole)
     random = columns[:, FIXED:]
     reference = label == REFERENCE
     if np.any(reference):

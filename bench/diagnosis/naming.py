@@ -203,12 +203,13 @@ def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
     """
     candidates = search.whitened.candidates
     evidence, ratio = scores.variants.copy(), int(np.argmax(scores.ratio[:, 0]))
-    for number in np.flatnonzero(evidence[:, 0] > max(evidence[:, 0].max() + np.log(NEGLIGIBLE), 0.0)):
+    likely = evidence[:, 0] > max(evidence[:, 0].max() + np.log(NEGLIGIBLE), 0.0)
+    for number in np.flatnonzero(likely).tolist():
         variant = candidates.variants[number]
         if not variant.starts:
             continue
         columns = list(variant.columns)
-        spread = np.linalg.inv(search.between(ratio, columns) + np.eye(len(columns)) / KNOWN_SIZE**2)
+        spread = np.linalg.inv(search.between(ratio, columns, number) + np.eye(len(columns)) / KNOWN_SIZE**2)
         amplitude, u = spread @ left.along[ratio, columns, 0], np.sqrt(np.diag(spread))
         channel = np.array([candidates.kinds[column].channel for column in columns])
         sizes = len(variant.sizes)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
@@ -155,23 +155,22 @@ class NoiseGrid:
     def products(self, columns: Floats) -> ColumnProducts:
         """Return the scalar products of columns (N, P), in the unit of the signal, whitened at each ratio."""
         first = self.white[0]
-        rows = first.apart(columns / self.sigma)
+        rows = first.apart(columns)
         # no ratio sees what the coefficients absorb: without it, differences of products lose no digits
-        rows *= first.root[:, None]
         for span in first.fitted:
             if not span.kept.any():
-                span.leave(rows, np.ones_like(span.kept))
-        rows /= first.root[:, None]
-        taken = []
+                root = first.root[span.rows][:, None]
+                rows[span.rows] -= (span.basis / root) @ ((span.basis * root).T @ rows[span.rows])
+        whole, taken = np.divide(rows.T, self.sigma, order="C"), []
         for spans in zip(*(white.fitted for white in self.white), strict=True):
             own = spans[0].rows
             along = [
                 span.basis.T * np.sqrt(1.0 - span.kept**2)[:, None] * white.root[own]
                 for span, white in zip(spans, self.white, strict=True)
             ]
-            taken.append(np.tensordot(along, rows[own], axes=1))
+            taken.append((whole[:, own] @ np.concatenate(along).T).reshape(len(whole), len(along), -1))
         weight = np.stack([white.root**2 for white in self.white])
-        return ColumnProducts(np.ascontiguousarray(rows.T), weight, np.concatenate(taken, axis=1))
+        return ColumnProducts(whole, weight, np.concatenate(taken, axis=2))
 
 
 def make_noise_grid(
@@ -210,9 +209,12 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 def _wide(linear: LinearSystem) -> Mask:
     """Return the mask (q,) of `random` columns that act in more rows than a run has, or than `FEW` of all.
 
-    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same.
+    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same. In a single
+    run, few columns are all fitted.
     """
-    most = min(FEW, 1.0 / len(np.unique(linear.readings.run))) * len(linear)
+    runs = len(np.unique(linear.readings.run))
+    few = runs == 1 and linear.random.shape[1] <= FEW * len(linear)
+    most = -1.0 if few else min(FEW, 1.0 / runs) * len(linear)
     return np.asarray(np.count_nonzero(linear.random, axis=0) > most)
 
 
@@ -221,22 +223,26 @@ def _whites(
 ) -> Iterator[tuple[Whitener, float]]:
     """Yield the map for each setting error, rad per unit of noise, with its part of `NoiseGrid.log_det`."""
     wide = _wide(linear)
-    fixed, shared = linear.fixed, linear.random[:, wide] / sigma
-    blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma)
+    known = settings[0] if len(settings) == 1 else None
+    blocks, variance, log_det = _blocks(linear, linear.random[:, ~wide] / sigma, known)
     half = Whitener(blocks, np.ones(len(linear)))
-    fixed, shared = half.apart(fixed), half.apart(shared)
+    fixed, shared = half.apart(linear.fixed), half.apart(linear.random[:, wide] / sigma)
+    # a setting error couples the rows of all channels, and so all coefficients of a block
+    used = [np.flatnonzero(np.any(fixed, axis=axis)) for axis in (1, 0)]
+    parts = list(coupled(fixed)) if fixed.shape[1] > FIXED else [used]
     for setting in settings:
         root = 1.0 / np.sqrt(1.0 + setting**2 * variance)
-        spans, more = _fitted(root[:, None] * fixed, root[:, None] * shared)
+        spans, more = _fitted(root[:, None] * fixed, root[:, None] * shared, parts)
         yield replace(half, root=root, fitted=spans), log_det + more + float(np.sum(np.log(root)))
 
 
 def _blocks(
-    linear: LinearSystem, local: Floats
+    linear: LinearSystem, local: Floats, known: float | None
 ) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
     """Return the `blocks` of a `Whitener`, the variances (N,) of a setting error of 1 rad, and ln |T|.
 
-    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent.
+    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent. The
+    noise includes a `known` setting error, rad per unit of noise, which leaves no variances.
     """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)
@@ -253,9 +259,13 @@ def _blocks(
         alike = order[starts[sizes == size][:, None] + np.arange(size)]
         rows = _as_slice(alike.ravel())
         apart, setting = _covariances(linear, local, alike)
-        cholesky = np.linalg.cholesky(apart)
+        cholesky = np.linalg.cholesky(apart if known is None else apart + known**2 * setting)
         log_det -= float(np.sum(np.log(np.diagonal(cholesky, axis1=1, axis2=2))))
         inverse = np.linalg.inv(cholesky)
+        if known is not None:
+            blocks.append((rows, inverse))
+            variance[rows] = 0.0
+            continue
         values, vectors = np.linalg.eigh(inverse @ setting @ np.swapaxes(inverse, 1, 2))
         blocks.append((rows, np.swapaxes(vectors, 1, 2) @ inverse))
         variance[rows] = np.maximum(values, 0.0).ravel()
@@ -272,21 +282,22 @@ def _covariances(linear: LinearSystem, local: Floats, rows: Ints) -> tuple[Float
         joined = local[own]
         joined = joined[:, np.any(joined, axis=0)]
         apart[number] += joined @ joined.T
-    setting, slope = linear.setting[rows], linear.slope[rows]
-    same = setting[:, :, None] == setting[:, None, :]
-    return apart, np.where(same, slope[:, :, None] * slope[:, None, :], 0.0)
+    slope = linear.slope[rows]
+    along = slope[:, :, None] * slope[:, None, :]
+    if local.shape[1]:  # otherwise, a block has one setting
+        setting = linear.setting[rows]
+        along[setting[:, :, None] != setting[:, None, :]] = 0.0
+    return apart, along
 
 
-def _fitted(white: Floats, wide: Floats) -> tuple[tuple[Span, ...], float]:
+def _fitted(white: Floats, wide: Floats, parts: Iterable[Sequence[Ints]]) -> tuple[tuple[Span, ...], float]:
     """Return the subspaces of the columns of coefficients (N, 12 × blocks) and of other unknowns (N, k).
 
-    The columns are whitened. The second result is the contribution of the subspaces to `log_det`.
+    The columns are whitened; `parts` are rows and columns of each block's coefficients. The second result is the
+    contribution of the subspaces to `log_det`.
     """
     spans = []
     log_det = 0.0
-    # a setting error couples the rows of all channels, and so all coefficients of a block
-    used = [np.flatnonzero(np.any(white, axis=axis)) for axis in (1, 0)]
-    parts = coupled(white) if white.shape[1] > FIXED else [used]
     for rows, columns in parts:
         if not len(rows):
             continue  # no row depends on these coefficients
@@ -320,7 +331,7 @@ class ColumnProducts:
     """Scalar products of P columns, whitened at each noise ratio.
 
     Element i of `columns` (P, N) has column i, whose N rows are independent at all ratios; `weight` (ratios, N) is
-    their inverse variance. `taken` (ratios, k, P) are the parts along the fitted directions, whose products are
+    their inverse variance. `taken` (P, ratios, k) are the parts along the fitted directions, whose products are
     subtracted. With two sources of variance, one diagonalisation serves all their ratios: Patterson and Thompson,
     Biometrika 58 (1971) 545.
     """
@@ -333,7 +344,8 @@ class ColumnProducts:
         """Return the scalar products (ratios, k, P) of k `columns` (indices) with all P, for the ratios `at`."""
         weighed = self.columns[columns] * self.weight[at][:, None]
         whole = np.tensordot(weighed, self.columns, axes=(2, 1))
-        return np.asarray(whole - np.swapaxes(self.taken[at][:, :, columns], 1, 2) @ self.taken[at])
+        taken = self.taken[:, at]
+        return np.asarray(whole - np.swapaxes(taken[columns], 0, 1) @ taken.transpose(1, 2, 0))
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
@@ -341,17 +353,18 @@ class ColumnProducts:
         first, second = np.triu_indices(size, 1)
         one, other = columns[..., first].ravel(), columns[..., second].ravel()
         whole = self.weight[at] @ (self.columns[one] * self.columns[other]).T
-        taken = np.einsum("rkp,rkp->rp", self.taken[at][:, :, one], self.taken[at][:, :, other])
+        taken = self.taken[:, at]
+        whole -= np.einsum("prk,prk->rp", taken[one], taken[other])
         gram = np.empty((len(whole), *columns.shape, size))
         gram[..., range(size), range(size)] = self.square[at][:, columns]
-        gram[..., first, second] = (whole - taken).reshape(gram[..., first, second].shape)
-        gram[..., second, first] = gram[..., first, second]
+        whole = whole.reshape(*gram.shape[:-2], len(first))
+        gram[..., first, second], gram[..., second, first] = whole, whole
         return gram
 
     @cached_property
     def square(self) -> Floats:
         """The squared length of each column, shape (ratios, P)."""
-        taken = np.einsum("rkp,rkp->rp", self.taken, self.taken)
+        taken = np.einsum("prk,prk->rp", self.taken, self.taken)
         return np.asarray(self.weight @ self.columns.T**2 - taken)
 
 

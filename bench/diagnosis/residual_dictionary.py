@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -57,8 +57,7 @@ VOLTS_PER_V3: Final = TermUnit("uV/V^3", 1e-6, 1.3e-6)
 GAIN: Final = TermUnit("ppm", 1e-6, 25e-6)
 
 
-@dataclass(frozen=True)
-class TimeCourse:
+class TimeCourse(NamedTuple):
     """A course over the readings that an unnamed effect may follow; its values are of order 1.
 
     Each of the formulas `expressions` has its own amplitude; `constants` are parameters with a single value.
@@ -78,8 +77,7 @@ class TimeCourse:
     where: str = ""
 
 
-@dataclass(frozen=True)
-class DictionaryTerm:
+class DictionaryTerm(NamedTuple):
     """A term of the dictionary: formulas, each with an amplitude in `unit`, added at one stage of the model.
 
     `family` describes it in words. At the stand, it is added to the angle `adds_to`. `course` is None for powers
@@ -139,7 +137,7 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     """
     terms = list(_terms(linear))
     for term, changes in zip(terms, _changes(linear, terms), strict=True):
-        shown = [bool(of_channel.any()) for of_channel in np.swapaxes(changes, 0, 1)]
+        shown = np.asarray(changes.any(axis=(0, 2))).tolist()
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
                 yield term, channel, changes[:, channel]

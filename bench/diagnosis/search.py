@@ -316,7 +316,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     told = with_terms(make_candidates(again, sigma, absent=task.absent), again)
     if told.kinds != candidates.kinds:
         return fresh
-    told = replace(candidates, columns=told.columns, scale=told.scale)
+    told = candidates.with_columns(told.columns, told.scale)
     back = told.columns[:, columns] @ sizes
     about = in_the_noise_of(linear, replace(again, readings=readings, response=again.response + back))
     whitened, data = task.whiten(about, told, sigma)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import groupby, product
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -75,7 +75,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     seen: set[tuple[int, ...]] = set()
-    for variant in candidates.variants:
+    for number, variant in enumerate(candidates.variants):
         sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
             of = {p.name: p for p in sized if p.unit == unit}
@@ -90,7 +90,9 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                 if columns in seen:
                     continue  # another variant has the same parameters in this channel
                 seen.add(columns)
-                one = _smallest_of(whitened.among(ratio, columns), [of[name] for name in own], half)
+                places = [variant.columns.index(column) for column in columns]
+                gram = whitened.gram(ratio, number)[np.ix_(places, places)]
+                one = _smallest_of(gram, [of[name] for name in own], half)
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
                     known[unit] = one
@@ -124,9 +126,9 @@ def hidden(
         / half_power(whitened, threshold.value)
     )
     best: dict[tuple[str, str, str], float] = {}
-    for variant in candidates.variants:
+    for variant in (variant for variant in candidates.variants if variant.named):
         shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
-        for column in variant.sizes if variant.named else ():
+        for column in variant.sizes:
             key = (variant.family, candidates.kinds[column].parameter, f" ({shape})" if shape else "")
             best[key] = max(best.get(key, 0.0), float(seen[column]))
     unseen: dict[str, tuple[str, ...]] = {}
@@ -178,7 +180,7 @@ def forms_everywhere(family: str, mounts: tuple[str, ...] = ()) -> tuple[Form, .
             if p.is_size
             for channel in ((0, 1, 2) if p.per_channel else (None,))
         )
-        for shape in itertools.product(*grids)
+        for shape in product(*grids)
     )
 
 
@@ -248,15 +250,16 @@ class ReadingDesign:
         one = self._left(total[:, None])[:, 0]
         least = float(one @ one)
         self.seen(tuple(part for form in rivals for part in form))
-        for form in rivals:
-            other = self.seen(form)
-            left = one - other @ np.linalg.lstsq(other, one, rcond=1e-9)[0]
-            least = min(least, float(left @ left))
+        for _, forms in groupby(sorted(rivals, key=len), len):
+            basis, size, _ = np.linalg.svd([self.seen(form) for form in forms], full_matrices=False)
+            along = (size > 1e-9 * size[:, :1]) * (one @ basis)
+            left = one - np.sum(basis * along[:, None], axis=2)
+            least = min(least, float(np.min(np.sum(left**2, axis=1))))
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
         """Return the signal-to-noise ratio of a plausible size in the best of `forms`, beside unknowns."""
-        return max(float(np.linalg.norm(self.seen(form), 2)) for form in forms)
+        return float(np.linalg.svd([self.seen(form) for form in forms], compute_uv=False).max())
 
 
 # --- patterns of the residuals: where readings and model disagree ------------------------------------
@@ -477,9 +480,10 @@ def looking_like(angle_rad: Floats, order: int) -> tuple[int, ...]:
     """
     tenths = np.round(np.degrees(angle_rad[np.isfinite(angle_rad)]) * 10.0) % 3600.0
     angles = np.radians(np.unique(tenths) / 10.0)
-    own = _waves(angles, order)
-    others = (k for k in range(1, round(360.0 / MARK_DEG) + 1) if k != order)
-    return tuple(k for k in others if _left(_waves(angles, k), own) < ALIKE)
+    others = [k for k in range(1, round(360.0 / MARK_DEG) + 1) if k != order]
+    waves = np.concatenate([_waves(angles, k) for k in others], axis=1)
+    left = _left(waves, _waves(angles, order)).reshape(-1, 2).max(axis=1)
+    return tuple(k for k, most in zip(others, left.tolist(), strict=True) if most < ALIKE)
 
 
 def order_of(applied: AppliedEffect) -> int | None:
@@ -498,8 +502,8 @@ def _waves(angle_rad: Floats, order: int) -> Floats:
     return np.stack([np.cos(order * angle_rad), np.sin(order * angle_rad)], axis=1)
 
 
-def _left(waves: Floats, own: Floats) -> float:
-    """Return the largest fraction of the square of any of the `waves` that the `own` waves leave unexplained."""
+def _left(waves: Floats, own: Floats) -> Floats:
+    """Return the fraction of the square of each of the `waves` (n, k) that the `own` waves leave unexplained."""
     size = np.maximum(np.sum(waves**2, axis=0), 1e-12 * len(waves))
     fitted = own @ np.linalg.lstsq(own, waves, rcond=INSEPARABLE)[0]
-    return float(np.max(np.sum((waves - fitted) ** 2, axis=0) / size, initial=0.0))
+    return np.asarray(np.sum((waves - fitted) ** 2, axis=0) / size)

@@ -112,12 +112,11 @@ def specific_force_on_platform(angle_rad: Floats, stand_rad: Floats) -> Floats:
     angles; here the exact form.
     """
     tilt, offset, yaw, pitch, roll = stand_rad.T
-    turned = angle_rad + offset + pitch
-    x = np.sin(turned) * np.cos(tilt)
-    y = np.sin(tilt)
-    z = np.cos(turned) * np.cos(tilt)
-    x, y = np.cos(yaw) * x + np.sin(yaw) * y, -np.sin(yaw) * x + np.cos(yaw) * y
-    y, z = np.cos(roll) * y + np.sin(roll) * z, -np.sin(roll) * y + np.cos(roll) * z
+    turns = np.array([angle_rad + offset + pitch, tilt, yaw, roll])
+    (sin, sin_tilt, sin_yaw, sin_roll), (cos, cos_tilt, cos_yaw, cos_roll) = np.sin(turns), np.cos(turns)
+    x, y, z = sin * cos_tilt, sin_tilt, cos * cos_tilt
+    x, y = cos_yaw * x + sin_yaw * y, -sin_yaw * x + cos_yaw * y
+    y, z = cos_roll * y + sin_roll * z, -sin_roll * y + cos_roll * z
     return np.stack([x, y, z], axis=-1)
 
 

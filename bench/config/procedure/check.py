@@ -236,7 +236,7 @@ def _power_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
             on, off_key = step.switch != "off", step.key
         elif isinstance(step, SelectInput):
             input_source = step.source
-        elif isinstance(step, Read | Settle) and not on and input_source == "signal":
+        elif not on and input_source == "signal" and isinstance(step, Read | Settle):
             if isinstance(step, Settle) and step.what != "signals":
                 continue
             since = f"step {off_key} has switched it off" if off_key else "nothing has switched it on"

@@ -304,10 +304,7 @@ class AppliedEffect:
         """Return the values of all parameters; missing shapes have their default, others are 0 if missing."""
         return {
             p.name: np.asarray(
-                self.values[p.name]
-                if p.name in self.values
-                else np.full(3 if p.per_channel else (), p.default),
-                dtype=np.float64,
+                self.values.get(p.name, (p.default,) * 3 if p.per_channel else p.default), dtype=np.float64
             )
             for p in self.effect.parameters
         }

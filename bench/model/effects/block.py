@@ -229,14 +229,15 @@ def _play(path: HeadPath, sine: Floats, cosine: Floats, width_g: float, start: f
         [_extremes(path.start, path.turn, sine, cosine), _extremes(path.turn, path.end, sine, cosine)]
     )
     first = sine * np.sin(path.start)[:, None] + cosine * np.cos(path.start)[:, None]
-    low, high = stops - width_g, stops + width_g
+    # one stop after the other confines the state to a range; together they do, too
+    low, high = stops[0] - width_g, stops[0] + width_g
+    for stop in stops[1:]:
+        low, high = (np.clip(end, stop - width_g, stop + width_g) for end in (low, high))
     reached = np.empty_like(first)
     slack = first[0]
     for i, begins in enumerate(path.begins):
-        if begins:
-            slack = first[i] - start * width_g
-        for k in range(len(stops)):
-            slack = np.minimum(np.maximum(slack, low[k, i]), high[k, i])
+        slack = first[i] - start * width_g if begins else slack
+        slack = np.minimum(np.maximum(slack, low[i]), high[i])
         reached[i] = slack
     return np.asarray((stops[-1] - reached) / width_g)
 
