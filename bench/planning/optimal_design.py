@@ -472,7 +472,7 @@ class Stand:
             return make_budget(setup, [*sources, *beside], GLS, stated=sizes)
         if known.noise is not None:
             known = replace(known, noise=known.noise.times(noise))
-        learned = learned_sources(sources, known, setup.conditions.mounts)
+        learned = learned_sources(sources, known, setup.conditions)
         return make_budget(setup, [*learned, *beside], GLS, stated=sizes, known=known)
 
     def _freedom(self, conditions: Conditions) -> int:
