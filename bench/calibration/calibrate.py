@@ -165,7 +165,7 @@ def solve(
         notes=(
             *_notes_on_rows(posed),
             *_on_levels(problem),
-            *_on_levelling(problem),
+            *(() if posed.told else _on_levelling(problem)),
             *notes,
             *notes_on_noise(
                 fit.noise, tails if accepted and not notes else float("nan"), shared, birge, readings.unit
@@ -181,7 +181,8 @@ def solve(
 class Posed(NamedTuple):
     """The problem of a calibration, and the rows of `readings` that it uses, the oriented ones with their angles.
 
-    `assumed` are the names of the stand angles that are only assumed. `join_free` says whether free positions
+    `assumed` are the names of the stand angles that are only assumed; `told` says whether other runs tell how the
+    angles change. `join_free` says whether free positions
     were asked for, `nominal_angles` whether the angles in `rows` or `problem` are nominal ones.
     """
 
@@ -191,6 +192,7 @@ class Posed(NamedTuple):
     rows: Readings
     problem: Problem
     assumed: frozenset[str]
+    told: bool
     join_free: bool
     nominal_angles: bool
 
@@ -215,10 +217,10 @@ def pose(
         conditions = replace(conditions, angle_rad=by.angles_rad(rows))
     u = {**stand_u, **(assumed_u or {})}
     problem = make_problem(model, conditions, u, _free_rows(chosen, readings), known)
-    told = frozenset() if known is None else {name for name, _ in known.keys}
-    assumed = frozenset(assumed_u or {}) - told
+    learned = frozenset() if known is None else {name for name, _ in known.keys}
+    assumed = frozenset(assumed_u or {}) - learned
     at_nominal = nominal_angles or by.angles_rad is not None
-    return Posed(readings, by, chosen, rows, problem, assumed, join_free, at_nominal)
+    return Posed(readings, by, chosen, rows, problem, assumed, known is not None, join_free, at_nominal)
 
 
 # --- rows -------------------------------------------------------------------------------------------
@@ -304,15 +306,22 @@ def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
 
 
 def _on_levelling(problem: Problem) -> Iterator[str]:
-    """Yield a note on each installation with several series, because its angles count as new in each.
+    """Yield a note on each installation with several mountings, because its angles count as new in each.
 
-    The readings do not say whether the block was mounted again, switched on again, or heated.
+    The readings do not say whether the platform was levelled again. Without the column `mounting` they do not say
+    either whether the block was mounted again, switched on again, or heated.
     """
-    if problem.hang is not None:  # other runs tell how the angles change
-        return
+    conditions = problem.conditions
+    noted = conditions.mounting is not None and bool(np.all(conditions.mounting > 0))
     assumed = {s.mount for s in problem.stand if STAND_ANGLES[s.column] in LEVELLED and not s.measured}
-    for label, times in Counter(problem.conditions.mounts[mount].installation for mount in assumed).items():
-        if times > 1:
+    first = {conditions.clamped[mount] for mount in assumed}
+    for label, times in Counter(conditions.mounts[mount].installation for mount in sorted(first)).items():
+        if times > 1 and noted:
+            yield message(
+                f"installation {label} was mounted {times} times, and u takes the platform as levelled each time; "
+                f"if it was levelled once, state {times**0.5:.3g} times axis_tilt and zero_offset"
+            )
+        elif times > 1:
             yield message(
                 f"installation {label} has {times} series, and u takes each as levelled and mounted again; else u "
                 f"of the cross-axis terms is too small: state {times**0.5:.3g} times axis_tilt and zero_offset if "
@@ -425,8 +434,9 @@ def _of_assumed(problem: Problem, fit: gls.Fit, assumed: frozenset[str], by: Est
     if not places:
         return np.zeros((FIXED, FIXED))
     if by.gain is not None:
-        own = problem.jacobian(fit.block, fit.others)[:, :, [FIXED + j for j in places]]
-        parts = np.einsum("pni,niq->pq", fit.gain, own) * problem.prior_u[places]
+        own = problem.jacobian(fit.block, fit.others)[:, :, FIXED:]
+        kept = np.isin(np.arange(own.shape[2]), places)
+        parts = np.einsum("pni,niq->pq", fit.gain, problem.by_prior(own * kept))
         return np.asarray(parts @ parts.T)
     at = FIXED + np.array(places)
     across = fit.covariance[:FIXED, at]

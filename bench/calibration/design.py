@@ -28,6 +28,9 @@ UPPER = np.array([0, 1, 2, 4, 5, 8, 9, 10, 11])
 STEP_RAD = 1e-5
 """Step of the central differences: truncation and rounding error are both about 1e-11 of the derivative."""
 
+SAME: Final = 1.0 - 1e-6
+"""Correlation of the errors of one angle in series of one mounting; below 1, so that it has a Cholesky factor."""
+
 WEAK = 10.0
 """Prior u of an effect parameter without stated u, in plausible sizes: wide, so that the data decide."""
 
@@ -102,8 +105,9 @@ class Problem:
     """The unknowns of a fit: 12 coefficients, then stand angles, then parameters of effects.
 
     `free` are readings of which only the modulus |a| = 1 g is used. `upper` constrains K to be upper triangular, as
-    a fit to free readings alone requires. `hang` (q, q) is the lower Cholesky factor of the correlation matrix of
-    the priors, None if the priors are independent. `noise` is prior knowledge of the noise, or None.
+    a fit to free readings alone requires. `hang` (p, p) is the lower Cholesky factor of the correlation matrix of
+    the priors of the p stand angles, None if all priors are independent. `noise` is prior knowledge of the noise,
+    or None.
     """
 
     model: ForwardModel
@@ -136,18 +140,25 @@ class Problem:
 
         By the prior, whitened unknowns are independent and have unit variance.
         """
-        q = len(self.stand) + len(self.effects)
-        return np.eye(q) if self.hang is None else np.asarray(np.linalg.solve(self.hang, np.eye(q)))
+        return np.asarray(np.linalg.inv(self._prior_root))
+
+    @property
+    def _prior_root(self) -> Floats:
+        """The lower Cholesky factor (q, q) of the correlation matrix of all priors."""
+        root = np.eye(len(self.stand) + len(self.effects))
+        if self.hang is not None:
+            root[: len(self.hang), : len(self.hang)] = self.hang
+        return root
 
     def pulls(self, others: Floats) -> Floats:
         """Return the deviations (q,) of the unknowns `others` from their prior means, whitened by the prior."""
         off = (others - self.prior_mean) / self.prior_u
-        return off if self.hang is None else np.asarray(np.linalg.solve(self.hang, off))
+        return off if self.hang is None else np.asarray(np.linalg.solve(self._prior_root, off))
 
     def by_prior(self, columns: Floats) -> Floats:
         """Convert derivatives (..., q) by the q unknowns to derivatives by whitened unknowns (see `prior_rows`)."""
         scaled = columns * self.prior_u
-        return scaled if self.hang is None else np.asarray(scaled @ self.hang)
+        return scaled if self.hang is None else np.asarray(scaled @ self._prior_root)
 
     def names(self) -> list[str]:
         """Return names of the unknowns after the coefficients: "alpha3[2]", "quadratic_nonlinearity.K2[y]".
@@ -352,7 +363,8 @@ def make_problem(
     "setting_error" (rad) and "voltmeter_error" (unit of the signals). The prior of an effect parameter has the mean
     and the u that the model states; they must come from readings other than those to be fitted. Without a stated u
     the prior u is `WEAK` times the catalogue's plausible size. `known` is prior knowledge from other runs. It
-    replaces the stated noise, and `stand_u` for angles that no level measured.
+    replaces the stated noise, and `stand_u` for angles that no level measured. Series during which the block stayed
+    mounted (`Conditions.clamped`) have the same angles, unless a level measured them.
     """
     levels = conditions.levels()
     stand = tuple(
@@ -369,22 +381,32 @@ def make_problem(
     noise = KnownNoise.of_bench(stand_u) if known is None or known.noise is None else known.noise
     upper = len(conditions) == 0
     problem = Problem(model, conditions, stand, tuple(effects), free, upper=upper, noise=noise)
-    return problem if known is None else _with_known(problem, known)
+    return _with_shared(problem, known)
 
 
-def _with_known(problem: Problem, known: KnownStand) -> Problem:
-    """Return the problem with priors from other runs for all angles that no level measured."""
+def _with_shared(problem: Problem, known: KnownStand | None) -> Problem:
+    """Return the problem with the errors that its angles share, as one mounting and other runs tell.
+
+    Angles that a level measured keep their independent priors.
+    """
     stand, mounts = problem.stand, problem.conditions.mounts
     told = [j for j, unknown in enumerate(stand) if not unknown.measured]
-    if not told:
+    clamped = problem.conditions.clamped
+    key = np.array([len(STAND_ANGLES) * clamped[stand[j].mount] + stand[j].column for j in told])
+    shared = np.where(key[:, None] == key, SAME, 0.0) + (1.0 - SAME) * np.eye(len(told))
+    if not told or (known is None and len(np.unique(key)) == len(key)):
         return problem
-    pairs = [(STAND_ANGLES[stand[j].column], mounts[stand[j].mount].installation) for j in told]
-    mean, covariance = known.prior(pairs, np.array([stand[j].prior_u for j in told]))
+    stated_u = np.array([stand[j].prior_u for j in told])
+    if known is None:
+        mean, covariance = np.zeros(len(told)), shared * np.outer(stated_u, stated_u)
+    else:
+        pairs = [(STAND_ANGLES[stand[j].column], mounts[stand[j].mount].installation) for j in told]
+        mean, covariance = known.prior(pairs, stated_u, shared)
     u = np.sqrt(np.diag(covariance))
     changed = list(stand)
     for j, m, size in zip(told, mean.tolist(), u.tolist(), strict=True):
         changed[j] = replace(stand[j], prior_u=size, prior_mean=m)
-    correlation = np.eye(len(stand) + len(problem.effects))
+    correlation = np.eye(len(stand))
     correlation[np.ix_(told, told)] = covariance / np.outer(u, u)
     return replace(problem, stand=tuple(changed), hang=np.asarray(np.linalg.cholesky(correlation)))
 

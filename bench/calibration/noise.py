@@ -146,11 +146,13 @@ class KnownStand:
                 return self.keys.index(key)
         return None
 
-    def prior(self, unknowns: Sequence[tuple[str, str]], stated_u: Floats) -> tuple[Floats, Floats]:
+    def prior(
+        self, unknowns: Sequence[tuple[str, str]], stated_u: Floats, shared: Floats
+    ) -> tuple[Floats, Floats]:
         """Return prior means (q,), rad, and covariance (q, q), rad^2, of the angles `unknowns`.
 
         Each angle is given as (name, installation). An angle without a known mean has mean zero and the standard
-        uncertainty in `stated_u` (q,).
+        uncertainty in `stated_u` (q,). `shared` (q, q) is the correlation of what single mountings add.
         """
         places = [self.place(name, installation) for name, installation in unknowns]
         known = np.array([place is not None for place in places], dtype=bool)
@@ -161,7 +163,7 @@ class KnownStand:
         own = [
             self.remount[name] if k else u for (name, _), k, u in zip(unknowns, known, stated_u, strict=True)
         ]
-        return mean, covariance + np.diag(np.square(own))
+        return mean, covariance + shared * np.outer(own, own)
 
 
 ONE_TEMPERATURE_K: Final = 1.0

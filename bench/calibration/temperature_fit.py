@@ -162,7 +162,7 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
         )
     residuals = task.signal - task.predict(values, others)
     whitened = whiten(residuals[:, :, None], system.slope, sizes)
-    pulls = (others - task.problem.prior_mean) / task.problem.prior_u
+    pulls = task.problem.pulls(others)
     misfit = float(np.sum(whitened**2) + np.sum(pulls**2))
     own = covariance[:count, :count]
     return ThermalFit(values, task.terms, own, others, sizes, misfit, residuals, system.slope)

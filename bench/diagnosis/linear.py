@@ -466,7 +466,7 @@ def _columns(
     A modulus does not depend on the angles of the stand; `unstated` references are unknown.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
-    jacobian = np.concatenate([jacobian[:, :, :FIXED], jacobian[:, :, FIXED:] * problem.prior_u], axis=2)
+    jacobian = np.concatenate([jacobian[:, :, :FIXED], problem.by_prior(jacobian[:, :, FIXED:])], axis=2)
     whole = np.zeros((len(label), 3, jacobian.shape[2]))
     whole[view.settings] = jacobian
     whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0

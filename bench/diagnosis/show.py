@@ -267,7 +267,7 @@ def _noisy(bench: ForwardModel, problem: Problem, fit: gls.Fit, stand: Floats) -
 def _test(problem: Problem, fit: gls.Fit, left: Floats) -> LackOfFit:
     """Compare `left` (n, 3), readings minus simulation, with the scatter of repeats."""
     slope = problem.slope(fit.block, fit.others)
-    pulls = (fit.others - problem.prior_mean) / problem.prior_u
+    pulls = problem.pulls(fit.others)
     misfit = float(np.sum(whiten(left[:, :, None], slope, fit.noise) ** 2) + np.sum(pulls**2))
     unknowns = FIXED + gls.sizes_told(problem, fit)
     return gls.misfit_test(misfit, left, slope, fit.noise, repeat_groups(problem.conditions), unknowns)

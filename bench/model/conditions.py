@@ -98,6 +98,8 @@ class Conditions:
     `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage, `meter_c` (n,) the temperature
     of the voltmeters; they are NaN where unknown and None if never recorded. `level_rad` (n, 4) holds the level
     readings of the row's mounting: alpha1, alpha2 and their standard uncertainties, NaN if none were taken.
+    `mounting` (n,) numbers the mountings of a run, of which each may last for several series; 0 means unknown, and
+    None that each series is a mounting, or that nobody noted it.
     """
 
     mounts: tuple[Mounting, ...]
@@ -116,6 +118,7 @@ class Conditions:
     level_rad: Floats | None = None
     supply_v: Floats | None = None
     meter_c: Floats | None = None
+    mounting: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.angle_rad)
@@ -124,6 +127,22 @@ class Conditions:
     def remounted(self) -> Mask:
         """The mask (n,) of the first row, and of each row in another mounting than the row before."""
         return np.concatenate([np.ones(min(len(self), 1), dtype=bool), self.mount[1:] != self.mount[:-1]])
+
+    @cached_property
+    def clamped(self) -> Ints:
+        """For each of `mounts`, the index of the first one since which the block has stayed mounted.
+
+        Without a known `mounting`, each series is a mounting of its own.
+        """
+        first: dict[object, int] = {}
+        found = []
+        for index, mount in enumerate(self.mounts):
+            row = int(np.argmax(self.mount == index))
+            number = 0 if self.mounting is None else int(self.mounting[row])
+            began_s = 0.0 if self.began_s is None else float(self.began_s[row])
+            key = (mount.installation, began_s, number) if number else index
+            found.append(first.setdefault(key, index))
+        return np.array(found, dtype=np.int64)
 
     @cached_property
     def memory(self) -> dict[Any, Any]:
@@ -256,6 +275,7 @@ class Conditions:
         level_rad: Floats | None = None,
         supply_v: Floats | None = None,
         meter_c: Floats | None = None,
+        mounting: Ints | None = None,
     ) -> Conditions:
         """Return the conditions made of columns of equal length.
 
@@ -282,6 +302,7 @@ class Conditions:
             level_rad=level_rad,
             supply_v=supply_v,
             meter_c=meter_c,
+            mounting=mounting,
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final
 
@@ -20,6 +20,7 @@ from bench.calibration.estimators import GLS
 from bench.calibration.noise import LEAST_REPEATS, KnownStand, repeat_groups, whiten
 from bench.calibration.result import CalibrationError, Noise
 from bench.model import STAND_ANGLES, Block, Conditions, Distribution, ForwardModel
+from bench.model.conditions import Mounting
 from bench.model.geometry import COEFFICIENTS, modulus_slopes
 from bench.planning.requirements import Setting, conditions_of
 
@@ -413,7 +414,7 @@ class Stand:
 
     `known` is prior knowledge of stand and noise from other runs, used instead of `sizes`. `hidden` are the
     error sources that no reading reveals; the combined u of a calibration includes them. `meters` holds the
-    index of the voltmeter of each channel.
+    index of the voltmeter of each channel. `mountings` numbers the mountings, equal while the block stays mounted.
     """
 
     model: ForwardModel
@@ -422,6 +423,7 @@ class Stand:
     known: KnownStand | None = None
     hidden: tuple[ErrorSource, ...] = ()
     meters: tuple[int, int, int] = (0, 1, 2)
+    mountings: Mapping[Mounting, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.known is not None and self.known.noise is not None:
@@ -439,6 +441,11 @@ class Stand:
             return self.known.noise.given()
         return Noise(self.sizes["voltmeter_error"], self.sizes.get("setting_error", 0.0), np.inf, "given")
 
+    def conditions(self, settings: Sequence[Setting]) -> Conditions:
+        """Return the conditions of readings at these settings, with the mountings that the stand knows."""
+        numbers = np.array([self.mountings.get(s.mount, 0) for s in settings], dtype=np.int64)
+        return replace(conditions_of(settings), mounting=numbers)
+
     def unknowns(self, mounts: int) -> int:
         """Return the number of unknowns of a fit to readings in `mounts` mountings."""
         return FIXED + mounts * sum(name in STAND_ANGLES and u > 0 for name, u in self.sizes.items())
@@ -449,7 +456,7 @@ class Stand:
         The estimator is generalised least squares, with noise widened because it is estimated from the readings.
         Raises `CalibrationError` if the settings do not determine the coefficients.
         """
-        wider = widening(self._freedom(conditions_of(settings)))
+        wider = widening(self._freedom(self.conditions(settings)))
         budget = self.budget([*settings, *checks_of(goals)], wider)
         combined = budget.combined.covariance
         of_readings = combined - sum(
@@ -463,7 +470,7 @@ class Stand:
 
     def budget(self, settings: Sequence[Setting], noise: float = 1.0) -> Budget:
         """Return the budget of readings at these settings, with noise scaled by the factor `noise`."""
-        setup = Setup(self.model, conditions_of(settings), self.block, self.meters)
+        setup = Setup(self.model, self.conditions(settings), self.block, self.meters)
         sizes = {n: u * (1.0 if n in STAND_ANGLES else noise) for n, u in self.sizes.items() if u > 0}
         sources = [stand_source(name, Distribution(u)) for name, u in sizes.items()]
         beside = [*effect_sources(setup), *self.hidden]
@@ -472,7 +479,7 @@ class Stand:
             return make_budget(setup, [*sources, *beside], GLS, stated=sizes)
         if known.noise is not None:
             known = replace(known, noise=known.noise.times(noise))
-        learned = learned_sources(sources, known, setup.conditions.mounts)
+        learned = learned_sources(sources, known, setup.conditions)
         return make_budget(setup, [*learned, *beside], GLS, stated=sizes, known=known)
 
     def _freedom(self, conditions: Conditions) -> int:

@@ -24,7 +24,7 @@ from bench.planning.optimal_design import (
     whitened,
     widening,
 )
-from bench.planning.requirements import Setting, conditions_of
+from bench.planning.requirements import Setting
 from bench.readings.table import UNORIENTED, VERIFICATION
 
 _LEFT_OUT_WITH_IT: Final = (Level, Mount, Wait, Settle)
@@ -329,7 +329,7 @@ class Grid:
     @classmethod
     def of(cls, stand: Stand, reads: Mapping[Site, int]) -> Grid:
         """Return the grid of the sites in `reads`, which states the number of readings per visit to each site."""
-        rows, _ = whitened(stand, conditions_of([site.setting() for site in reads]))
+        rows, _ = whitened(stand, stand.conditions([site.setting() for site in reads]))
         often = np.sqrt(np.array(list(reads.values()), dtype=np.float64))
         return cls(tuple(reads), rows * often[:, None, None])
 

@@ -67,6 +67,14 @@ def settings_of(plan: Plan) -> list[Setting]:
     ]
 
 
+def mountings_of(plan: Plan) -> dict[Mounting, int]:
+    """Return the number of the mounting to which each series of a plan belongs."""
+    steps = zip(plan.steps, plan.mountings, strict=True)
+    return {
+        Mounting(step.series, step.installation): number for step, number in steps if isinstance(step, Read)
+    }
+
+
 def fitted(settings: Iterable[Setting]) -> list[Setting]:
     """Return the settings whose readings take part in the fit of a calibration."""
     return [s for s in settings if s.mount.installation != VERIFICATION]

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import ARCSEC, HOUR, Floats, Labels
+from bench.base.arrays import ARCSEC, HOUR, Floats, Ints, Labels
 from bench.base.numbers import read_number
 from bench.base.text import shortened, visible
 
@@ -284,6 +284,27 @@ def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
     """
     own = next((name for name in (METER_C, ROOM_C) if any(map(str.strip, extra.get(name, ())))), None)
     return None if own is None else numbers(extra[own])
+
+
+MOUNTING: Final = "mounting"
+"""The column of the number of the mounting, if the block stayed mounted for several series."""
+
+
+def mountings(extra: Mapping[str, Labels]) -> Ints | None:
+    """Return the number of each row's mounting, shape (n,), 0 where unknown; None without the column."""
+    return np.nan_to_num(numbers(extra[MOUNTING])).astype(np.int64) if MOUNTING in extra else None
+
+
+def mounting_cells(series: Sequence[object], mounted: Sequence[object]) -> list[str]:
+    """Return the cells of the column `mounting`, empty ones if each series is a mounting.
+
+    `series` and `mounted` identify the series and the mounting of each reading; None is a reading without mounting.
+    """
+    pairs = {pair for pair in zip(series, mounted, strict=True) if pair[1] is not None}
+    if len(pairs) == len({one for one, _ in pairs}) == len({one for _, one in pairs}):
+        return [""] * len(mounted)
+    number = {one: str(place) for place, one in enumerate(dict.fromkeys(filter(None, mounted)), start=1)}
+    return ["" if one is None else number[one] for one in mounted]
 
 
 SINCE_POWER_ON_S: Final = "since_power_on_s"

@@ -20,6 +20,7 @@ from bench.base.text import repeated, shortened
 from bench.readings.columns import (
     LEVEL_COLUMNS,
     METER_C,
+    MOUNTING,
     ROOM_C,
     SINCE_POWER_ON_S,
     BadCell,
@@ -66,6 +67,7 @@ AS_TEXT: Final = (
     METER_C,
     ROOM_C,
     SINCE_POWER_ON_S,
+    MOUNTING,
     *LEVEL_COLUMNS,
 )
 """Documented columns that are kept as text."""
@@ -364,6 +366,7 @@ def _row(
         raise BadCell(*wrong)
     for name in (CHAMBER_C, METER_C, ROOM_C):
         temperature(text, name)
+    integer(text, MOUNTING, default=0)
     number(text, SINCE_POWER_ON_S, message("a time in seconds, 0 or more"), optional=True, least=0.0)
     number(text, REFERENCE_V, message("the voltage at the inputs in V"), optional=True)
     number(text, REFERENCE_SD_V, message("the scatter of the meters that read it in V"), optional=True)

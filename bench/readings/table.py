@@ -20,6 +20,7 @@ from bench.base.text import shortened
 from bench.model.conditions import Conditions
 from bench.readings.columns import (
     METER_C,
+    MOUNTING,
     ROOM_C,
     SINCE_POWER_ON_S,
     Rail,
@@ -27,6 +28,8 @@ from bench.readings.columns import (
     columns_of,
     level_rad,
     meter_c,
+    mounting_cells,
+    mountings,
     since_power_on_cells,
     since_power_on_s,
 )
@@ -169,6 +172,7 @@ class Readings:
             level_rad=level_rad(self.extra, len(self)),
             supply_v=above_nominal_v(self.extra),
             meter_c=meter_c(self.extra),
+            mounting=mountings(self.extra),
         )
 
 
@@ -491,11 +495,17 @@ _RECORDED: Final = tuple((of.name, of.name.removesuffix("_number")) for of in fi
 """Each field of a reading with its name in the record."""
 
 
-def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[float, str]] = ()) -> Readings:
+def readings_of(
+    taken: Sequence[Reading],
+    source: str,
+    power: Sequence[tuple[float, str]] = (),
+    mounted: Sequence[tuple[int, int] | None] = (),
+) -> Readings:
     """Return the table of the readings `taken`, named `source`.
 
     Scan order, reference, further temperatures, rails and time since power-on become columns in `extra` if any
-    reading has them. `power` lists the states of the supply, as for `since_power_on_cells`.
+    reading has them. `power` lists the states of the supply, as for `since_power_on_cells`. `mounted` identifies
+    the mounting of each reading, as for `mounting_cells`.
     """
 
     def column(name: str) -> Floats:
@@ -508,6 +518,7 @@ def readings_of(taken: Sequence[Reading], source: str, power: Sequence[tuple[flo
         TEMPERATURE_SOURCE: [reading.temperature_source for reading in taken],
         **{name: _cells(taken, name) for name in (CHAMBER_C, METER_C, ROOM_C)},
         SINCE_POWER_ON_S: since_power_on_cells([reading.time_s for reading in taken], power),
+        MOUNTING: mounting_cells([reading.place[:2] for reading in taken], mounted or [None] * len(taken)),
         **columns_of([reading.rails for reading in taken]),
     }
     table = make_readings(

@@ -19,7 +19,7 @@ from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
-from bench.readings.table import VERIFICATION, Readings, readings_of
+from bench.readings.table import UNORIENTED, VERIFICATION, Readings, readings_of
 from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
 from bench.run.record import History, read_history, trusted
 from drivers.clock import utc_now
@@ -136,13 +136,20 @@ class Run:
 
         Raises `RecordError` if the record was changed or holds no reading.
         """
-        taken = list(self.trusted_history().readings.values())
-        if not taken:
+        history = self.trusted_history()
+        readings = history.readings
+        if not readings:
             resume = "" if self.history.state in ENDED else message(", or resume this one")
             raise RecordError(f"{self.folder}: the run has no reading; name another run{resume}")
         planned = sum(isinstance(s, Read) and s.installation == VERIFICATION for s in self.plan.steps)
-        power = self.trusted_history().power
-        table = with_levels(readings_of(taken, str(self.folder), power), self._seen_by_level())
+        taken, mountings = list(readings.values()), self.plan.mountings
+        mounted = [
+            None if one.installation in UNORIENTED else (mountings[step], history.remounts[step])
+            for step, one in readings.items()
+        ]
+        table = with_levels(
+            readings_of(taken, str(self.folder), history.power, mounted), self._seen_by_level()
+        )
         return replace(
             table,
             verification_missing=planned - len(table.verification()),

@@ -75,7 +75,8 @@ class History:
     without samples) in the order of measurement, and None for each `remounted` event. `identities` and `serials`
     are the instruments' identities and serial numbers at the start of the run; `serials` is empty if certificates
     are not checked. `levelled` holds (bench time, levelling result), and `power` holds (bench time, state of the
-    block's supply: "on", "found on", "off" or "fault"). Events after an invalid line are left out of all fields.
+    block's supply: "on", "found on", "off" or "fault"). `remounts` counts the unplanned mountings before the last
+    reading of each step. Events after an invalid line are left out of all fields.
     """
 
     events: Events
@@ -90,6 +91,7 @@ class History:
     serials: dict[str, str] = field(default_factory=dict)
     levelled: list[tuple[float, Levelled]] = field(default_factory=list)
     power: list[tuple[float, str]] = field(default_factory=list)
+    remounts: dict[int, int] = field(default_factory=dict)
 
     def not_repaired(self) -> tuple[list[Event], list[Event]]:
         """Return the early signs whose reading at fault was not repeated, and the decisions to continue there."""
@@ -159,6 +161,7 @@ class _Reader:
     def __init__(self, history: History) -> None:
         self._history = history
         self._opened = False
+        self._remounts = 0
 
     def read(self, file: BinaryIO) -> list[str]:
         """Read the lines; return a list with one sentence on the first invalid line, or an empty list."""
@@ -195,12 +198,14 @@ class _Reader:
         if event.type == EventType.STEP_DONE:
             if "reading" in event.data and (reading := event.reading) is not None:
                 history.taken.append((event.step, reading))
+                history.remounts[event.step] = self._remounts
             elif isinstance(event.result, Levelled):
                 history.levelled.append((event.bench_s, event.result))
         elif event.type == EventType.POWER:
             history.power.append((event.bench_s, str(event.data["power"])))
         elif event.type == EventType.REMOUNTED:
             history.taken.append(None)
+            self._remounts += "why" not in event.data  # after a loss of power the block is still mounted
         elif event.type in _OPENED and not self._opened:
             self._opened = True
             history.identities = dict(history.progress.identities)

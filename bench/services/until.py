@@ -52,7 +52,7 @@ from bench.planning.pool import (
     reached_by,
     with_hidden,
 )
-from bench.planning.requirements import Cost, Outlook, outlook, settings_of
+from bench.planning.requirements import Cost, Outlook, mountings_of, outlook, settings_of
 from bench.readings.table import VERIFICATION
 from bench.results.check import (
     CheckResult,
@@ -155,7 +155,7 @@ def chooser_of(
     """
     model = with_effects(ForwardModel(bench.installation_models()), learned.effects)
     try:
-        whole = stand_of(bench, model, learned.known)
+        whole = replace(stand_of(bench, model, learned.known), mountings=mountings_of(plan))
         # u from the readings alone does not include the angles whose size nobody stated
         told = set() if learned.known is None else {kind for kind, _ in learned.known.keys}
         silent = assumed_stand(bench).keys() - told

@@ -26,6 +26,11 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
         "–",
         "another number for a further visit to an installation (a return, another temperature); default 1",
     ),
+    "mounting": (
+        "–",
+        "the same number in all series during which the block stayed mounted, as when it was only switched on "
+        "again: these series share the errors of the stand; empty if each series is a mounting",
+    ),
     "target_deg": ("°", "commanded angle"),
     "direction": ("–", "+1 approached with rising angle, −1 with falling; may be empty"),
     "time_s": ("s", "since the start of the run; may be empty"),

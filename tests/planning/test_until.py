@@ -165,6 +165,16 @@ def test_an_angle_that_nobody_stated_is_shown_by_the_mountings_that_show_it():
     assert promised.goals[0].u(promised.readings) == pytest.approx(312e-6, rel=0.01)
 
 
+def test_a_block_that_stays_mounted_for_four_series_shows_its_angles_once():
+    """Kyz over switching on again has the u that α5 gives one mounting, not half of it; see above."""
+    plan = load_procedure(find_procedure("turn-on")).expand()
+    chooser = chooser_of(plan, BENCH, ["combined:Kyz=4e-4, vector=1e-3"])
+    kyz = next(w for w in chooser.aim.wanted if w.combined)
+    assert np.sqrt(kyz.hidden) == pytest.approx(312e-6, rel=0.01)
+    with pytest.raises(Refused, match="mounting roll"):
+        chooser_of(plan, BENCH, ["combined:Kyz=2e-4"])
+
+
 def test_plans_without_a_choice_are_refused():
     with pytest.raises(Refused, match="sets temperatures"):
         chooser_of(load_procedure(find_procedure("temperature")).expand(), BENCH, ["all=5e-5"])

@@ -392,7 +392,7 @@ class Simulation:
             drawn_angles = _draw(source, (trials, len(kinds) * mounts), rng).reshape(
                 trials, len(kinds), mounts
             )
-            stand[:, :, kinds] += np.swapaxes(drawn_angles, 1, 2)
+            stand[:, :, kinds] += np.swapaxes(drawn_angles[:, :, setup.conditions.clamped], 1, 2)
         setting = sum((_draw(s, (trials, n), rng) for s in self._setting), np.zeros((trials, n)))
         signal = self._plain.readings(
             setup.block,

@@ -144,14 +144,14 @@ def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
     Times are expected for meters at the mains frequency `line_hz`; temperatures are the chamber's last set
     points. Raises `CalibrationError` if the plan has no such reading.
     """
-    rows: list[tuple[Read, float, float]] = []
+    rows: list[tuple[Read, float, float, int]] = []
     time_s, temperature_c = 0.0, float("nan")
-    for step in plan.steps:
+    for step, mounting in zip(plan.steps, plan.mountings, strict=True):
         time_s += plan.step_duration_s(step, line_hz)
         if isinstance(step, SetTemperature):
             temperature_c = step.target_c
         elif isinstance(step, Read) and step.target_rad is not None and step.installation not in UNORIENTED:
-            rows.append((step, time_s, temperature_c))
+            rows.append((step, time_s, temperature_c, mounting))
     if not rows:
         raise CalibrationError(
             f"{plan.name}: has no reading at a known angle of the head; choose another procedure"
@@ -166,6 +166,7 @@ def planned_conditions(plan: Plan, line_hz: float = 50.0) -> Conditions:
         direction=[read.direction or 0 for read in reads],
         time_s=[row[1] for row in rows],
         temperature_c=[row[2] for row in rows],
+        mounting=np.array([row[3] for row in rows], dtype=np.int64),
     )
 
 
@@ -358,7 +359,9 @@ def influences(source: ErrorSource, setup: AnyReadings) -> tuple[Influence, ...]
         column = setup.effect_problem.effects.index(source.effect)
         patterns: _Patterns = [(setup.effect_columns[:, :, column], _EVERYTHING)]
     elif isinstance(setup, Setup) and (source.name in STAND_ANGLES or source.angles):
-        mount = setup.conditions.mount[:, None]
+        clamped = setup.conditions.clamped
+        alike = clamped if source.root is None else np.arange(len(clamped))
+        mount = alike[setup.conditions.mount][:, None]
         patterns = [(setup.stand_slope(name), mount) for name in source.angles or (source.name,)]
     elif isinstance(setup, Setup) and source.name == FOUNDATION:
         tilts = tilt_patterns(setup.conditions, setup.block, setup.setting_slope, setup.model.installations)

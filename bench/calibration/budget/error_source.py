@@ -14,7 +14,7 @@ from bench.base.languages import message
 from bench.calibration.design import EffectUnknown
 from bench.calibration.noise import KnownNoise, KnownStand
 from bench.config.bench_file.file import BenchFile
-from bench.model.conditions import Conditions, Mounting
+from bench.model.conditions import Conditions
 from bench.model.geometry import STAND_ANGLES, Block, Distribution, Installation
 from bench.readings.columns import drift_rad_s
 from bench.readings.corrected import DAY, FOUNDATION
@@ -115,21 +115,22 @@ LEARNED: Final = message("learned of the bench")
 
 
 def learned_sources(
-    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+    stated: Sequence[ErrorSource], known: KnownStand, conditions: Conditions
 ) -> tuple[ErrorSource, ...]:
-    """Return the stand's error sources for the mountings `mounts`, given knowledge from other runs.
+    """Return the stand's error sources for the mountings in `conditions`, given knowledge from other runs.
 
     An angle of a mounting is the sum of a mean, which mountings share, and a deviation of this mounting. The
     deviations keep the names of the `stated` sources; the means form one source with correlated draws. Reading
     noise becomes one source per channel.
     """
-    return tuple(_sources(stated, known, mounts))
+    return tuple(_sources(stated, known, conditions))
 
 
 def _sources(
-    stated: Sequence[ErrorSource], known: KnownStand, mounts: Sequence[Mounting]
+    stated: Sequence[ErrorSource], known: KnownStand, conditions: Conditions
 ) -> Iterator[ErrorSource]:
-    labels = [mount.installation for mount in mounts]
+    labels = [mount.installation for mount in conditions.mounts]
+    clamped = conditions.clamped
     angles = [s for s in stated if s.name in STAND_ANGLES and s.u > 0]
     yield from _means(tuple(s.name for s in angles), known, labels)
     for source in stated:
@@ -138,7 +139,7 @@ def _sources(
             own = np.where(told, known.remount.get(source.name, 0.0), source.u)
             origin = f"{LEARNED}: what a remount adds"
             learned = replace(source, origin=origin, prior=False, dof=np.inf) if any(told) else source
-            yield _with_root(learned, np.diag(own))
+            yield _with_root(learned, own[:, None] * (clamped[:, None] == np.arange(len(clamped))))
         elif known.noise is not None and source.name in ("voltmeter_error", "setting_error"):
             yield from _noise(source, known.noise)
         else:

@@ -67,7 +67,7 @@ def bench_sources(
     """
     own = stand_sources(bench)
     if known is not None:
-        own = learned_sources(own, known, setup.conditions.mounts)
+        own = learned_sources(own, known, setup.conditions)
     return (
         *own, *_foundation_source(bench), *hidden_sources(bench, setup.model, day), *effect_sources(setup)
     )  # fmt: skip

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
+from itertools import accumulate
 from typing import Any, Final
 
 from bench.config.bench_file.stand import UnitSupplySection
@@ -81,6 +82,11 @@ class Plan:
     def operator_actions(self) -> int:
         """Return the number of steps that need the operator on a bench without motors."""
         return sum(step.BY_OPERATOR for step in self.steps)
+
+    @cached_property
+    def mountings(self) -> tuple[int, ...]:
+        """For each step, the number of mountings up to it."""
+        return tuple(accumulate(isinstance(step, Mount) for step in self.steps))
 
     def begins_on(self) -> bool:
         """Whether the block must be on before the first step: yes, unless a power step comes before any reading."""

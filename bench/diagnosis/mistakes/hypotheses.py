@@ -126,7 +126,7 @@ class Table:
         linear = problem.linear(block, problem.prior_mean)
         table = cls(
             problem, block, signal - linear.predicted, linear.slope, linear.jacobian[:, :, :FIXED],
-            linear.jacobian[:, :, FIXED:] * problem.prior_u, floor,
+            problem.by_prior(linear.jacobian[:, :, FIXED:]), floor,
         )  # fmt: skip
         return replace(table, unit=max(table._usual(), floor))
 
