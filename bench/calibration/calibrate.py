@@ -308,8 +308,8 @@ def _notes_on_rows(posed: Posed) -> tuple[str, ...]:
 def _on_levelling(problem: Problem) -> Iterator[str]:
     """Yield a note on each installation with several mountings, because its angles count as new in each.
 
-    The readings do not say whether the platform was levelled again. Without the column `mounting` they do not say
-    either whether the block was mounted again, switched on again, or heated.
+    The readings do not say whether the platform was levelled again. Without the column `mounting_number`, they do
+    not say whether the block was mounted again, either.
     """
     conditions = problem.conditions
     noted = conditions.mounting is not None and bool(np.all(conditions.mounting > 0))

@@ -466,7 +466,7 @@ def _key(linear: LinearSystem, whitened: Whitened, setting_rad: float) -> str:
     return hashlib.sha256(repr(parts).encode()).hexdigest()[:32]
 
 
-DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v", "mounting")
+DESIGN_COLUMNS: Final = ("scan_order", "reference_v", "range_v", "mounting_number")
 
 
 def formulas() -> list[str]:

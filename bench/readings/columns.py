@@ -286,7 +286,7 @@ def meter_c(extra: Mapping[str, Labels]) -> Floats | None:
     return None if own is None else numbers(extra[own])
 
 
-MOUNTING: Final = "mounting"
+MOUNTING: Final = "mounting_number"
 """The column of the number of the mounting, if the block stayed mounted for several series."""
 
 
@@ -296,7 +296,7 @@ def mountings(extra: Mapping[str, Labels]) -> Ints | None:
 
 
 def mounting_cells(series: Sequence[object], mounted: Sequence[object]) -> list[str]:
-    """Return the cells of the column `mounting`, empty ones if each series is a mounting.
+    """Return the cells of the column `mounting_number`, empty ones if each series is a mounting.
 
     `series` and `mounted` identify the series and the mounting of each reading; None is a reading without mounting.
     """

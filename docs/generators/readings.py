@@ -26,7 +26,7 @@ COLUMNS: Final[dict[str, tuple[str, str]]] = {
         "–",
         "another number for a further visit to an installation (a return, another temperature); default 1",
     ),
-    "mounting": (
+    "mounting_number": (
         "–",
         "the same number in all series during which the block stayed mounted, as when it was only switched on "
         "again: these series share the errors of the stand; empty if each series is a mounting",

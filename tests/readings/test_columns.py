@@ -212,13 +212,13 @@ def test_a_readings_file_says_since_when_the_block_is_on(tmp_path):
 def test_a_readings_file_says_in_which_series_the_block_stayed_mounted(tmp_path):
     rows = [f"1,1,{point},0,0.1,0.2,0.3,{series},{cell}" for point, series, cell in (
         (1, 1, "7"), (2, 1, "7"), (1, 2, "7"), (1, 3, ""), (1, 4, "8"), (1, 5, ""))]  # fmt: skip
-    header = f"{HEADER},series,mounting"
+    header = f"{HEADER},series,mounting_number"
     table = read_csv(write(tmp_path, *rows, header=header), ["1"])
     assert not table.notes
     np.testing.assert_array_equal(table.conditions().mounting, [7, 7, 7, 0, 8, 0])
     np.testing.assert_array_equal(table.conditions().clamped, [0, 0, 2, 3, 4])
     for cell in ("0", "1.5", "first"):
-        with pytest.raises(ReadingsError, match="column mounting: expected a whole number, 1 or more"):
+        with pytest.raises(ReadingsError, match="column mounting_number: expected a whole number, 1 or more"):
             read_csv(write(tmp_path, rows[0][:-1] + cell, header=header), ["1"])
 
 
