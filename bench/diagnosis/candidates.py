@@ -157,9 +157,9 @@ class Candidates:
 
     `columns` (N, P) are the changes of the rows by one plausible size of each parameter, which `kinds`
     describes; `scale` (P,) are these sizes in SI, 1 for unnamed families. `by_family` has the indices of the
-    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `share`, in this order,
-    are their prior probabilities, given the family. `log_prior` (families,) is ln of the probability that a family
-    is the one that is missing.
+    variants, sorted by family; those of family f begin at `by_family[family_starts[f]]`. `share` (variants,) are
+    their prior probabilities, given the family. `log_prior` (families,) is ln of the probability that a family is
+    the one that is missing.
     """
 
     columns: Floats
@@ -180,7 +180,7 @@ class Candidates:
         self.by_family = np.argsort(member, kind="stable")
         self.family_starts = np.searchsorted(member[self.by_family], np.arange(len(self.families)))
         odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
-        self.share = (odds / np.bincount(member, odds)[member])[self.by_family]
+        self.share = odds / np.bincount(member, odds)[member]
         kinds = [2 if name in CATALOGUE else 1 if name in UNNAMED else 0 for name in self.families]
         share = np.array([KIND_PRIOR[kind] / kinds.count(kind) for kind in kinds])
         share[[name in SINGLE for name in self.families]] *= RARE
