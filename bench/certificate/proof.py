@@ -25,7 +25,7 @@ from bench.certificate.content import (
 )
 from bench.certificate.laboratory import in_each
 from bench.results.plots import residuals_by_angle, verification_points
-from bench.results.verification import optional_probability, probability_in_words
+from bench.results.verification import numbers_in_words, optional_probability, probability_in_words
 
 Block = dict[str, Any]
 Cell = str | list[str] | dict[str, Any]
@@ -375,7 +375,7 @@ def _conformity(found: RunFindings, write: Writer) -> list[Block]:
     ]  # fmt: skip
     rows: list[list[Cell]] = [
         [
-            f"{p.pass_number} / {p.point}",
+            numbers_in_words(p),
             f"{p.angle_deg:.4f}°",
             rounded(p.delta_g * scale, p.U * scale, sign=True),
             uncertainty(p.U * scale),

@@ -193,9 +193,9 @@ class Candidates:
 
     @cached_property
     def share(self) -> Floats:
-        """The prior probabilities of the variants, given their family, in the order of `by_family`."""
+        """The prior probabilities (variants,) of the variants, given their family."""
         odds = np.array([EQUAL if v.own else 1.0 for v in self.variants])
-        return np.asarray((odds / np.bincount(self._member, odds)[self._member])[self.by_family])
+        return np.asarray(odds / np.bincount(self._member, odds)[self._member])
 
     @cached_property
     def log_prior(self) -> Floats:

@@ -285,7 +285,8 @@ class Scores:
         starts = candidates.family_starts
         counts = np.diff([*starts, len(ordered)])
         largest = np.maximum.reduceat(ordered, starts, axis=0)
-        parts = candidates.share[:, None] * np.exp(ordered - np.repeat(largest, counts, axis=0))
+        share = candidates.share[candidates.by_family, None]
+        parts = share * np.exp(ordered - np.repeat(largest, counts, axis=0))
         mean: Floats = largest + np.log(np.add.reduceat(parts, starts, axis=0))
         return mean
 

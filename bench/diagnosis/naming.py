@@ -155,13 +155,19 @@ class Scored:
         yield from ((v, share) for v, share in likely if share >= BY_CHANCE and v != one.variant)
 
     def likeliest(self, family: str) -> Variant:
-        """Return the form of a family that has the largest evidence."""
-        evidence = self._forms(family)
-        return self.search.whitened.candidates.variants[max(evidence, key=evidence.__getitem__)]
+        """Return the most probable form of a family."""
+        log_odds = self._forms(family)
+        return self.search.whitened.candidates.variants[max(log_odds, key=log_odds.__getitem__)]
 
     def _forms(self, family: str) -> dict[int, float]:
+        """Return ln of the evidence of each form of a family times its prior probability."""
         of_family = self.search.whitened.candidates.of_family(family)
-        return {i: float(self.scores.variants[i, 0]) for i in of_family}
+        return dict(zip(of_family, self.log_odds_of(of_family).tolist(), strict=True))
+
+    def log_odds_of(self, forms: Sequence[int]) -> Floats:
+        """Return ln of the evidence of `forms` (indices) of one family times their prior probabilities."""
+        share = self.search.whitened.candidates.share
+        return np.asarray(self.scores.variants[forms, 0] + np.log(share[forms]))
 
     def _best_variant(self, family: str) -> Variant:
         variants = self.search.whitened.candidates.variants
@@ -172,7 +178,7 @@ class Scored:
         rivals = [i for i, part in zip(evidence, share, strict=True) if part > OFTEN * share.sum()]
         if not by_pass and any(variants[i].mounts != variants[best].mounts for i in rivals):
             # the readings do not determine the mounting: each gets its own value, with a large u
-            best = max(rivals, key=lambda i: (len(variants[i].columns), evidence[i]))
+            best = max(rivals, key=lambda i: (len(variants[i].plain.columns), evidence[i]))
         # equilibrium at the start is an assumption, with which u would be too small
         started = [i for i in rivals if variants[i].starts and variants[i].plain == variants[best].plain]
         chosen = variants[started[0] if started else best]

@@ -376,9 +376,8 @@ def channels_of(whitened: Whitened, data: Data, naming: Naming) -> dict[int, Flo
         others = [c for i, f in enumerate(naming.found) if i != number for c in f.variant.columns]
         scored = Scored.beside(whitened, data, others)
         members = whitened.candidates.of_family(one.variant.family)
-        evidence = scored.scores.variants[members, 0]
         has = np.array([[c in whitened.candidates.variants[m].channels for c in range(3)] for m in members])
-        plausible[number] = np.asarray(special.softmax(evidence) @ has)
+        plausible[number] = np.asarray(special.softmax(scored.log_odds_of(members)) @ has)
     return plausible
 
 

@@ -36,6 +36,7 @@ class ModulusPoint:
     point: int
     delta_g: float
     u: float
+    series: int = 1
 
 
 @dataclass(frozen=True)
@@ -306,8 +307,10 @@ def _points(readings: Readings, problem: Problem, fit: gls.Fit) -> tuple[Modulus
     variance = np.einsum("mp,pq,mq->m", columns, fit.covariance, columns)
     variance += np.sum((by_signal * fit.noise.by_channel) ** 2, axis=1)
     return tuple(
-        ModulusPoint(float(np.degrees(angle)), int(number), int(point), float(g - 1.0), float(np.sqrt(v)))
-        for angle, number, point, g, v in zip(
-            rows.angle_rad, rows.pass_number, rows.point, size, variance, strict=True
+        ModulusPoint(
+            float(np.degrees(angle)), int(number), int(point), float(g - 1.0), float(np.sqrt(v)), int(series)
+        )
+        for angle, number, point, series, g, v in zip(
+            rows.angle_rad, rows.pass_number, rows.point, rows.series, size, variance, strict=True
         )
     )

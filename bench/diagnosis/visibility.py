@@ -76,7 +76,8 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     found: dict[str, dict[str, Smallest]] = {}
     seen: set[tuple[int, ...]] = set()
     for number, variant in enumerate(candidates.variants):
-        sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if variant.named else []
+        judged = variant.named and variant.is_plain
+        sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if judged else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
             of = {p.name: p for p in sized if p.unit == unit}
             cells: dict[object, dict[str, int]] = {}
@@ -126,7 +127,7 @@ def hidden(
         / half_power(whitened, threshold.value)
     )
     best: dict[tuple[str, str, str], float] = {}
-    for variant in (variant for variant in candidates.variants if variant.named):
+    for variant in (one for one in candidates.variants if one.named and one.is_plain):
         shape = ", ".join(f"{name} {value:g}" for name, value in variant.shape)
         for column in variant.sizes:
             key = (variant.family, candidates.kinds[column].parameter, f" ({shape})" if shape else "")

@@ -87,7 +87,11 @@ def _verdict(verification: Verification | None, *, doubted: bool) -> dict[str, A
         "expanded": uncertainty(worst.U / scale.size),
         "k": f"{worst.k:.3g}",
         "unit": scale.unit,
-        "where": message(f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})"),
+        "where": message(f"{worst.angle_deg:.4f}° (pass {worst.pass_number}, point {worst.point})")
+        if worst.series == 1
+        else message(
+            f"{worst.angle_deg:.4f}° (series {worst.series}, pass {worst.pass_number}, point {worst.point})"
+        ),
         "limit": f"{verification.limit_g / scale.size:g}",
         "tur": f"{verification.tur:.2g}",
         "risk": risk_in_words(verification),

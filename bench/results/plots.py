@@ -28,6 +28,7 @@ from bench.calibration.budget.propagation import correlation_of
 from bench.calibration.verification import Verification, VerificationPoint
 from bench.model.conditions import Mounting
 from bench.model.geometry import COEFFICIENTS
+from bench.readings.table import VERIFICATION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -379,10 +380,13 @@ def mark_changes(grid: Any, calibration: Calibration, along: Floats, word: str =
 
 
 def point_labels(points: Sequence[VerificationPoint] | Sequence[ModulusPoint]) -> list[str]:
-    """Return a label for each verification point: its angle and, if there are several passes, its pass."""
-    several = len({p.pass_number for p in points}) > 1
+    """Return a label for each verification point: its angle and, if there are several, its pass and mounting."""
+    passes, series = len({p.pass_number for p in points}) > 1, len({p.series for p in points}) > 1
     return [
-        f"{p.angle_deg:.0f}°" + ("\n" + message(f"pass {p.pass_number}") if several else "") for p in points
+        f"{p.angle_deg:.0f}°"
+        + (f"\n{Mounting(p.series, VERIFICATION)}" if series else "")
+        + ("\n" + message(f"pass {p.pass_number}") if passes else "")
+        for p in points
     ]
 
 

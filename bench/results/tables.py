@@ -33,7 +33,7 @@ from bench.calibration.verification import Verification
 from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results.plots import residual_scale
-from bench.results.verification import optional_probability
+from bench.results.verification import numbers_in_words, optional_probability
 
 if TYPE_CHECKING:
     from bench.calibration.intrinsic import Intrinsic
@@ -248,7 +248,7 @@ def verification(result: Verification) -> list[Row]:
     scale = scale_for(result.limit_g, "g")
     return [
         Row(
-            f"{p.pass_number} / {p.point}",
+            numbers_in_words(p),
             f"{p.angle_deg:.4f}",
             rounded(p.g_p, p.u),
             rounded(p.delta_g / scale.size, p.u / scale.size, sign=True),

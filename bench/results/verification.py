@@ -15,6 +15,8 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
 from bench.calibration.verification import Verification, VerificationPoint
+from bench.model.conditions import Mounting
+from bench.readings.table import VERIFICATION
 from bench.results.parts import BenchPart, Corrections
 
 
@@ -131,6 +133,12 @@ def place_in_words(point: VerificationPoint) -> str:
     """Return the pass and the number of a point, and the series if installation V was mounted before."""
     where = message(f"pass {point.pass_number} point {point.point}")
     return where if point.series == 1 else message(f"series {point.series} {where}")
+
+
+def numbers_in_words(point: VerificationPoint) -> str:
+    """Return the pass and the number of a point for a table, with the mounting from the second on."""
+    numbers = f"{point.pass_number} / {point.point}"
+    return numbers if point.series == 1 else f"{Mounting(point.series, VERIFICATION)}: {numbers}"
 
 
 def verification_table(found: Verification) -> Table:

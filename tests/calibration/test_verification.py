@@ -11,6 +11,8 @@ from bench.calibration.conformity import Population, global_risk
 from bench.calibration.verification import verify
 from bench.model import Block
 from bench.readings.table import make_readings
+from bench.results import tables
+from bench.results.plots import point_labels
 from bench.results.verification import advice, global_risk_in_words, place_in_words, verdict_line
 from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.honest_runs import MODEL
@@ -48,6 +50,8 @@ def test_points_of_two_mountings_have_different_names():
     shown = [place_in_words(point) for point in result.points]
     assert shown == ["pass 1 point 1", "pass 1 point 2", "series 2 pass 1 point 1", "series 2 pass 1 point 2"]
     assert [point["series"] for point in verification_json(result)["points"]] == [1, 1, 2, 2]
+    assert [row.head for row in tables.verification(result)] == ["1 / 1", "1 / 2", "V/2: 1 / 1", "V/2: 1 / 2"]
+    assert point_labels(result.points) == ["45°\nV", "135°\nV", "225°\nV/2", "315°\nV/2"]
 
 
 def test_error_of_the_modulus_in_closed_form():

@@ -6,15 +6,18 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
+from bench.base.arrays import CHANNELS
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search, Whitened
 from bench.diagnosis.multi_run_system import make_system
-from bench.diagnosis.naming import Scored, in_place
+from bench.diagnosis.naming import Naming, Scored, in_place
 from bench.diagnosis.noise_grid import RATIOS, coupled, make_whitener
+from bench.diagnosis.posterior import channels_of
+from bench.diagnosis.visibility import smallest
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.readings.table import JoinedPart, together
 from bench.validation.paper_bench import SETTING_U_RAD, K
-from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI, STAND_U, paper_run, set_up
+from tests.support.diagnosis_bench import MODEL, NOISE_V, PSI, STAND_U, OneThreshold, paper_run, set_up
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +99,52 @@ def test_the_same_size_in_all_channels_has_a_tenth_of_the_odds_of_another_form(o
     expected = logsumexp(scores.variants[numbers, 0], b=weight / weight.sum())
     family = one.candidates.families.index("quadratic_nonlinearity")
     assert scores.families(one.candidates)[family, 0] == pytest.approx(expected, abs=1e-9)
+
+
+def with_evidence(one, family, **logs):
+    """Scores in which forms of a family, by mounting and channels, have these ln of the evidence, others none."""
+    scored = Scored.beside(one.whitened, one.whitened.reduce(one.linear.response[:, None]), ())
+    scores, known = np.full_like(scored.scores.variants, -50.0), one.candidates.variants
+    for i in one.candidates.of_family(family):
+        of = "equal" if known[i].own else "".join(CHANNELS[c] for c in known[i].channels)
+        scores[i] = logs.get("_".join((of, *known[i].mounts)), -50.0)
+    return replace(scored, scores=replace(scored.scores, variants=scores))
+
+
+def test_a_form_with_equal_sizes_is_found_only_if_it_is_the_most_probable(one):
+    """It needs five times the evidence of another form."""
+    for log, channels in ((1.5, (1,)), (1.7, (0, 1, 2))):
+        scored = with_evidence(one, "quadratic_nonlinearity", equal=log, y=0.0)
+        assert scored.found("quadratic_nonlinearity").variant.channels == channels
+        assert scored.likeliest("quadratic_nonlinearity").channels == channels
+
+
+def test_equal_sizes_in_one_mounting_count_as_three_where_another_mounting_is_possible(one):
+    found = with_evidence(one, "turn_on_shift", equal_2=5.0, xy_V=3.0).found("turn_on_shift").variant
+    assert (found.channels, found.mounts, len(found.columns)) == ((0, 1, 2), ("2",), 3)
+
+
+def test_channels_are_as_probable_as_their_forms(one):
+    data = one.whitened.reduce(np.random.default_rng(13).normal(0.0, NOISE_V, (len(one.linear), 1)))
+    scored = Scored.beside(one.whitened, data, ())
+    numbers = one.candidates.of_family("quadratic_nonlinearity")
+    forms = [one.candidates.variants[i] for i in numbers]
+    weight = np.exp(scored.scores.variants[numbers, 0]) * [0.2 if v.own else 1.0 for v in forms]
+    expected = [weight @ [c in v.channels for v in forms] / weight.sum() for c in range(3)]
+    naming = Naming((scored.found("quadratic_nonlinearity"),), 0.0)
+    assert channels_of(one.whitened, data, naming)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_smallest_size_that_shows_is_that_of_the_best_channel(one):
+    """An equal size in all channels shows better, but no one knows before that the sizes are equal."""
+    limit = OneThreshold().given
+    apart = Whitened.of(
+        one.whitened.grid,
+        replace_variants(one.candidates, [v for v in one.candidates.variants if not v.own]),
+    )
+    told = smallest(one.whitened, limit, 2)
+    assert told == smallest(apart, limit, 2)
+    assert "cross_coupling" in told
 
 
 def test_the_odds_of_names_in_a_place_are_those_of_bayes(one):

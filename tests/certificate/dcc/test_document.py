@@ -191,6 +191,15 @@ def test_nothing_is_conditional_under_a_binary_rule(issued_certificate, rule, wo
     assert ("conditional pass" in shown) == (rule == "non-binary")
 
 
+def test_points_of_a_second_mounting_have_other_numbers_than_those_of_the_first(issued_certificate):
+    certified = issued_certificate.found
+    once = certified.verdict.verification
+    again = tuple(replace(point, series=2) for point in once.points)
+    verdict = replace(certified.verdict, verification=replace(once, points=again))
+    certificate = replace(issued_certificate, found=replace(certified, verdict=verdict))
+    assert '"V/2: 1 / 1"' in json.dumps(proof.pages(Writer(certificate), []))
+
+
 def test_a_simulated_run_says_so_and_is_not_called_traceable(root):
     assert "SIMULATED" in root.findtext(
         ".//dcc:statement[@refType='bench_simulated']/dcc:declaration/dcc:content", namespaces=NAMESPACES
