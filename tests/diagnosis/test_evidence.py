@@ -112,8 +112,8 @@ def with_evidence(one, family, **logs):
 
 
 def test_a_form_with_equal_sizes_is_found_only_if_it_is_the_most_probable(one):
-    """It needs five times the evidence of another form."""
-    for log, channels in ((1.5, (1,)), (1.7, (0, 1, 2))):
+    """It needs ten times the evidence of another form."""
+    for log, channels in ((2.2, (1,)), (2.4, (0, 1, 2))):
         scored = with_evidence(one, "quadratic_nonlinearity", equal=log, y=0.0)
         assert scored.found("quadratic_nonlinearity").variant.channels == channels
         assert scored.likeliest("quadratic_nonlinearity").channels == channels
@@ -129,7 +129,7 @@ def test_channels_are_as_probable_as_their_forms(one):
     scored = Scored.beside(one.whitened, data, ())
     numbers = one.candidates.of_family("quadratic_nonlinearity")
     forms = [one.candidates.variants[i] for i in numbers]
-    weight = np.exp(scored.scores.variants[numbers, 0]) * [0.2 if v.own else 1.0 for v in forms]
+    weight = np.exp(scored.scores.variants[numbers, 0]) * [0.1 if v.own else 1.0 for v in forms]
     expected = [weight @ [c in v.channels for v in forms] / weight.sum() for c in range(3)]
     naming = Naming((scored.found("quadratic_nonlinearity"),), 0.0)
     assert channels_of(one.whitened, data, naming)[0] == pytest.approx(expected, rel=1e-9)
