@@ -275,6 +275,7 @@ def find(
     Only families that `among` permits (None: all) are found; the odds include all families.
     """
     found, free = list(begun), len(begun)
+    tried = [[f.variant for f in found]]
     while len(found) < most + free:
         scored = Scored.beside(whitened, data, _columns(found))
         if scored.total < threshold.value:
@@ -284,8 +285,9 @@ def find(
             kept = free if among is not None else 0
             found = _re_examine(whitened, data, found, among, kept)
             found = needed(whitened, data, found, threshold, kept)
-            if found == list(begun):
-                break
+        if [f.variant for f in found] in tried:
+            break
+        tried.append([f.variant for f in found])
     return found
 
 

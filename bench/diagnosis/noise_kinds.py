@@ -145,6 +145,10 @@ def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator
         white = whiten_rows(system, noise, residual[:, None])[:, 0]
         freedom = np.bincount(run, free).astype(np.float64)
         variance = variance * np.maximum(np.bincount(run, white**2) / np.maximum(freedom, 1.0), 1e-6)
+        shows = freedom >= 1.0  # of a run that its own coefficients fit exactly, the noise is unknown
+        variance[~shows] = (
+            np.average(variance[shows], weights=np.bincount(run)[shows]) if shows.any() else 1.0
+        )
         before, sizes = sizes, np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
         system = replace(linear, by_run=RunSizes(sizes, freedom))
         if np.allclose(sizes, before, rtol=0.1 * SAME_SIZE):

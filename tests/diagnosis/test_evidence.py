@@ -7,6 +7,7 @@ import pytest
 from scipy.special import logsumexp
 
 from bench.base.arrays import CHANNELS
+from bench.diagnosis import naming
 from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search, Whitened
 from bench.diagnosis.multi_run_system import make_system
@@ -131,8 +132,16 @@ def test_channels_are_as_probable_as_their_forms(one):
     forms = [one.candidates.variants[i] for i in numbers]
     weight = np.exp(scored.scores.variants[numbers, 0]) * [0.1 if v.own else 1.0 for v in forms]
     expected = [weight @ [c in v.channels for v in forms] / weight.sum() for c in range(3)]
-    naming = Naming((scored.found("quadratic_nonlinearity"),), 0.0)
-    assert channels_of(one.whitened, data, naming)[0] == pytest.approx(expected, rel=1e-9)
+    named = Naming((scored.found("quadratic_nonlinearity"),), 0.0)
+    assert channels_of(one.whitened, data, named)[0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_search_that_comes_back_to_where_it_was_ends(one, monkeypatch):
+    """A further effect joins, although the odds are far below any evidence, and is found unnecessary each time."""
+    monkeypatch.setattr(naming, "needed", lambda whitened, data, found, threshold, kept: found[:1])
+    data = one.whitened.reduce(one.linear.response[:, None])
+    limit = replace(OneThreshold().given, value=-100.0)
+    assert len(naming.find(one.whitened, data, limit)) == 1
 
 
 def test_the_smallest_size_that_shows_is_that_of_the_best_channel(one):

@@ -24,10 +24,10 @@ def runs(*sizes, seed=SEED, blocks=False, **what):
     return together([JoinedPart(table, block=i if blocks else 0) for i, table in enumerate(tables)])
 
 
-def offered(system):
+def offered(system, effects=None):
     """The hypothesis of runs with noise of their own, where it is offered."""
     noise = NoiseSize(NOISE_V * np.sqrt(5.0), STAND["setting_error"], 300)
-    every = noise_hypotheses(system, np.zeros((len(system), 0)), noise)
+    every = noise_hypotheses(system, np.zeros((len(system), 0)) if effects is None else effects, noise)
     return [one for one in every if one.what == "runs"]
 
 
@@ -42,6 +42,20 @@ def test_sizes_of_runs_are_found_from_their_residuals(blocks):
     np.testing.assert_allclose(system.relative, found.sizes[rows])
     assert np.mean(system.relative**2) == pytest.approx(1.0)
     assert offered(system) == []
+
+
+def test_a_run_that_the_fit_meets_exactly_has_the_noise_of_the_others():
+    """Four verification points, and as many free parameters, leave no degrees of freedom and show no noise."""
+    rng = np.random.default_rng(SEED)
+    loud, quiet, points = (paper_run(rng, noise_v=size * NOISE_V) for size in (3, 1, 1))
+    few = points.select(points.installation == "V")
+    system = make_system(
+        together([JoinedPart(table, block=0) for table in (loud, quiet, few)]), MODEL, STAND_U
+    )
+    (one,) = offered(system, NOISE_V * np.eye(len(system))[:, -4:])
+    sizes = one.linear.by_run.sizes
+    assert sizes[1] < sizes[2] < sizes[0]
+    assert sizes[0] / sizes[1] == pytest.approx(3.0, rel=0.3)
 
 
 def test_a_single_run_has_no_runs_that_differ():
