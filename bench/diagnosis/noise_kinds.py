@@ -138,17 +138,13 @@ def sizes_by_channel(left: Floats, freedom: Floats, slope: Floats, cells: Ints, 
 def _by_run(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
     """Yield the hypothesis that the noise, but not the setting error, differs between runs."""
     run = linear.readings.run[linear.rows.reading]
-    system, variance = linear, np.ones(int(run.max()) + 1)
-    sizes = variance
+    system, variance, sizes = linear, np.ones(1), np.ones(int(run.max()) + 1)
     for _ in range(STEPS):
         residual, free = _fit(system, effects, noise)
         white = whiten_rows(system, noise, residual[:, None])[:, 0]
         freedom = np.bincount(run, free).astype(np.float64)
         variance = variance * np.maximum(np.bincount(run, white**2) / np.maximum(freedom, 1.0), 1e-6)
-        shows = freedom >= 1.0  # of a run that its own coefficients fit exactly, the noise is unknown
-        variance[~shows] = (
-            np.average(variance[shows], weights=np.bincount(run)[shows]) if shows.any() else 1.0
-        )
+        variance[freedom < 1.0] = np.average(variance, weights=np.maximum(freedom, 1e-9))  # unknown
         before, sizes = sizes, np.sqrt(variance / np.average(variance, weights=np.bincount(run)))
         system = replace(linear, by_run=RunSizes(sizes, freedom))
         if np.allclose(sizes, before, rtol=0.1 * SAME_SIZE):

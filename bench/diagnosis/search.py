@@ -375,7 +375,8 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
         of_one = task.cache.threshold(runs[0].linear, runs[0].whitened(), task.setting_rad).at(ALONE / many)
     at_first = _look_in_each(whitened.candidates, runs, np.zeros(len(linear)), of_one)
     grown, alone = at_first
-    if alone and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
+    # what the only run that can be searched shows may as well be common to all
+    if alone and len(runs) > 1 and len({one.variant.mounts for one in alone}) <= max(1, FEW * many):
         whitened.forget()
         whitened = Whitened.of(whitened.grid, grown)
         data = whitened.reduce(response)

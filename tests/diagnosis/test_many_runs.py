@@ -152,10 +152,11 @@ def test_what_one_run_has_alone_is_found_in_it(cache):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("k2", [(0.0, 3e-4, 0.0), (2.5e-4,) * 3])
 @pytest.mark.parametrize("kept", [["1"], ["V"]])
-def test_a_run_that_does_not_determine_its_coefficients_can_be_joined(kept):
+def test_a_run_that_does_not_determine_its_coefficients_can_be_joined(kept, k2):
     """The first run has one installation or verification points alone; the other determines what it leaves open."""
-    whole, part = runs(2, seed=31, K2=(0.0, 3e-4, 0.0))
+    whole, part = runs(2, seed=31, K2=k2)
     few = part.select(np.isin(part.installation, kept))
     found = diagnose(joined([few, whole]), MODEL, LIMITS, cache=OneThreshold())
     assert [one.name for one in found.effects] == ["quadratic_nonlinearity"]
