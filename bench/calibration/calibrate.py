@@ -182,8 +182,8 @@ class Posed(NamedTuple):
     """The problem of a calibration, and the rows of `readings` that it uses, the oriented ones with their angles.
 
     `assumed` are the names of the stand angles that are only assumed; `told` says whether other runs tell how the
-    angles change. `join_free` says whether free positions
-    were asked for, `nominal_angles` whether the angles in `rows` or `problem` are nominal ones.
+    angles change. `join_free` says whether free positions were asked for, `nominal_angles` whether the angles in
+    `rows` or `problem` are nominal ones.
     """
 
     readings: Readings
@@ -323,9 +323,10 @@ def _on_levelling(problem: Problem) -> Iterator[str]:
             )
         elif times > 1:
             yield message(
-                f"installation {label} has {times} series, and u takes each as levelled and mounted again; else u "
-                f"of the cross-axis terms is too small: state {times**0.5:.3g} times axis_tilt and zero_offset if "
-                "the platform was levelled once, also mounting_error and mounting_roll if the block stayed mounted"
+                f"installation {label} has {times} series, and u takes platform and block as levelled and mounted "
+                "again for each; if the platform was levelled once, state axis_tilt and zero_offset "
+                f"{times**0.5:.3g} times as large; if the block stayed mounted, mounting_error and mounting_roll, "
+                "too; otherwise u of the cross-axis terms is too small"
             )
 
 

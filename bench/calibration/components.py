@@ -43,7 +43,7 @@ MOST_SIGNALS: Final = 1500
 WAVES: Final = 8
 """Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
 AT_REST_RAD: Final = np.radians(0.01)
-"""Head angles that differ by less count as one setting: procedures turn farther, encoders hardly wander so."""
+"""Head angles that differ by less belong to one setting: procedures turn farther, encoders at rest drift less."""
 NOISE: Final = "noise"
 SETTING: Final = "setting error"
 ANGLE: Final = "angle of a setting"

@@ -98,8 +98,8 @@ class Conditions:
     `supply_v` (n, rails) the voltage of each supply rail minus its nominal voltage, `meter_c` (n,) the temperature
     of the voltmeters; they are NaN where unknown and None if never recorded. `level_rad` (n, 4) holds the level
     readings of the row's mounting: alpha1, alpha2 and their standard uncertainties, NaN if none were taken.
-    `mounting` (n,) numbers the mountings of a run, of which each may last for several series; 0 means unknown, and
-    None that each series is a mounting, or that nobody noted it.
+    `mounting` (n,) is the number of the mounting, which may last for several series; 0 means unknown. None means
+    that each series is a mounting, or that no mounting is known.
     """
 
     mounts: tuple[Mounting, ...]

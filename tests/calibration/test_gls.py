@@ -435,8 +435,8 @@ def test_angles_of_a_block_mounted_once_are_stated_for_its_series():
     for factor in (1.0, 2.0):
         roll = {"mounting_roll": factor * 30 * ARCSEC}
         found = calibrate(readings, MODEL, STAND_U, 9.81, noise=given, assumed_u=roll)
-        told = "state 2 times axis_tilt and zero_offset"
-        assert any(told in n and "mounting_roll if the block stayed mounted" in n for n in found.notes)
+        told = "state axis_tilt and zero_offset 2 times as large"
+        assert any(told in n and "if the block stayed mounted, mounting_error and" in n for n in found.notes)
         u.append(found.u[COEFFICIENTS.index("Kyz")])
     assert u[1] == pytest.approx(30 * 10.4e-6, rel=0.02)
     assert u[0] == pytest.approx(u[1] / 2, rel=0.02)
@@ -457,7 +457,7 @@ def test_angles_of_a_platform_levelled_once_are_stated_for_the_mountings():
     for times in (1.0, np.sqrt(2.0)):
         stated = STAND_U | {name: times * STAND_U[name] for name in NAMES[:2]}
         found = calibrate(readings, MODEL, stated, 9.81, noise=given)
-        told = [note for note in found.notes if "state 1.41 times axis_tilt and zero_offset" in note]
+        told = [note for note in found.notes if "state axis_tilt and zero_offset 1.41 times as large" in note]
         assert [re.search(r"installation (\w+) has 2 series", note)[1] for note in told] == ["1", "2"]
         once = found.covariance.copy()
         for column, name in enumerate(NAMES[:2]):
