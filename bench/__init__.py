@@ -54,8 +54,8 @@ if TYPE_CHECKING:
     from bench.services.history import learn as learn
     from bench.services.history import monitor as monitor
     from bench.services.planning import budget as budget
-    from bench.services.record_calibration import RecordCalibrationResult as RecordCalibrationResult
     from bench.services.stability import RecordAtRest as RecordAtRest
+    from bench.services.stability import RecordCalibrationResult as RecordCalibrationResult
     from bench.services.stability import stability as stability
     from bench.services.verification import VerificationResult as VerificationResult
 
@@ -72,14 +72,13 @@ _HOMES: Final = {
     "bench.services.diagnosis": (
         "DiagnosisResult", "FreeDiagnosisResult", "MistakesResult", "RecordDiagnosisResult",
     ),
-    "bench.services.record_calibration": ("RecordCalibrationResult",),
     "bench.services.errors": ("Refused",),
     "bench.services.face": (
         "DryRun", "calibrate", "confirm", "diagnose", "diagnose_each", "dry_run", "load_bench",
         "read_readings", "verify",
     ),
     "bench.services.history": ("ComparisonResult", "LearningResult", "compare", "learn", "monitor"),
-    "bench.services.stability": ("RecordAtRest", "stability"),
+    "bench.services.stability": ("RecordAtRest", "RecordCalibrationResult", "stability"),
     "bench.services.verification": ("VerificationResult",),
     "bench.base.yaml_files": ("FileMistakes",),
     "bench.config.bench_file.file": ("BenchFile",),

@@ -26,9 +26,9 @@ from bench.services.bodies import body_of
 from bench.services.calibration import CalibrationResult, calibrated, report_page, verification_of
 from bench.services.diagnosis import diagnosis_of
 from bench.services.errors import sentence
-from bench.services.record_calibration import RecordCalibrationResult
 from bench.services.requests.evaluation import Calibrate
 from bench.services.source import Source, load_sources
+from bench.services.stability import RecordCalibrationResult
 from bench.services.verification import VerificationResult
 
 _ONE_AT_A_TIME: Final = Lock()

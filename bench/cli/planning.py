@@ -59,8 +59,7 @@ def _morning(request: Check, json: str | None) -> int:
     from bench.base.text import visible
     from bench.run.commission.session import WISHES
     from bench.run.terminal import TerminalPerson
-    from bench.services.instruments import PAGE
-    from bench.services.morning import line_of, morning
+    from bench.services.instruments import PAGE, line_of, morning
 
     if not request.dry_run and not sys.stdin.isatty():
         raise Refused(

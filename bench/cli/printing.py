@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from bench.base.result_model import ResultModel
     from bench.results.parts import BenchPart
     from bench.services.calibration import CalibrationResult
-    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.source import Source
+    from bench.services.stability import RecordCalibrationResult
     from bench.services.verification import VerdictOptions, VerificationResult
 
     Calibrated = CalibrationResult | RecordCalibrationResult

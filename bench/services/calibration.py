@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from bench.exchange.result import BlockResult
     from bench.history.prior import Prior
     from bench.services.coefficients import Coefficients
-    from bench.services.record_calibration import RecordCalibrationResult
     from bench.services.requests.evaluation import Calibrate, Verify
+    from bench.services.stability import RecordCalibrationResult
     from bench.services.verification import VerdictOptions, VerificationResult
 
 SEVERAL_TEMPERATURES: Final = 3
@@ -396,7 +396,7 @@ def result_of(source: Source) -> CalibrationResult | RecordCalibrationResult:
     """Calibrate a block or, for a record at a known input, its meters. Raises as `calibration_of`."""
     if not is_record(source.readings):
         return calibration_of(source)
-    from bench.services.record_calibration import record_calibration_of  # takes long to import
+    from bench.services.stability import record_calibration_of  # takes long to import
 
     return record_calibration_of(source)
 
