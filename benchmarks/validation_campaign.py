@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 
 from bench.config.shipped import CONFIG, find_bench, shipped_folder
-from bench.results.validation import ValidationCheck
+from bench.results.registers import ValidationCheck
 from bench.services.validated import fingerprint
 from bench.validation import gum, machine, statistics
 from bench.validation.registry import Check, Context, carry_out, every

@@ -140,7 +140,7 @@ LATE: Final = (
     "bench.services.until",
     "bench.results.control_chart",
     "bench.results.verification",
-    "bench.results.residuals",
+    "bench.results.diagnosis_parts",
 )
 LATE_OF_CATALOGUE: Final = (
     "bench.catalogue.questions",

@@ -98,7 +98,10 @@ def _fitted(run: Run) -> Fitted:
 
 @lru_cache(maxsize=32)
 def _calibrated(folder: Path, _stamps: tuple[tuple[int, int], ...]) -> Fitted:
-    from bench.results.residuals import fitted_readings, residuals_of  # the analyses take long to import
+    from bench.results.diagnosis_parts import (  # the analyses take long to import
+        fitted_readings,
+        residuals_of,
+    )
     from bench.services.calibration import calibration_of
     from bench.services.source import Request, load_sources
 

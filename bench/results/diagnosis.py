@@ -31,13 +31,14 @@ from bench.results.diagnosis_parts import (
     FormPart,
     GapPart,
     NoisePart,
+    ResidualsPart,
+    compared_residuals,
     form_part,
     gap_part,
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
 from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
-from bench.results.residuals import ResidualsPart, compared_residuals
 
 
 class OrientationPart(ResultModel):

@@ -428,7 +428,7 @@ class RecordDiagnosisResult(DiagnosisAlone):
     """The diagnosis of a record at a known input: effects on meters and reference, test on held-out parts."""
 
     found: RecordDiagnosis
-    view = "bench.results.record_diagnosis"
+    view = "bench.results.known_input"
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
         """Write the model file with the effects found; return its path. Raises as `write_models`."""

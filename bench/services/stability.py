@@ -29,7 +29,7 @@ from bench.history.stability import (
 )
 from bench.readings.csv import split_table
 from bench.readings.table import REFERENCE_V, is_record
-from bench.results.record_calibration import (
+from bench.results.known_input import (
     print_record_calibration,
     record_calibrate_result,
     render_record_calibration,

@@ -24,7 +24,7 @@ from bench.config.devices import FOLDERS
 from bench.config.devices.registry import GROUP
 from bench.config.formulas import files_of_environment
 from bench.config.shipped import PROCEDURES, shipped_folder
-from bench.results.validation import PackagePart, ProgramFingerprint
+from bench.results.registers import PackagePart, ProgramFingerprint
 from bench.run.events import sha256
 from bench.run.folder import BENCH, Run
 from bench.services.chain import Chain, Entry

@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from bench.base.files import read_regular
 from bench.certificate.laboratory import Person, load_laboratory
-from bench.results.validation import RegisteredValidation, ValidationRegisterResult, ValidationResult
+from bench.results.registers import RegisteredValidation, ValidationRegisterResult, ValidationResult
 from bench.run.events import sha256
 from bench.run.seal import read_seal
 from bench.services.chain import Entry, civil_now, opened

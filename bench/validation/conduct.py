@@ -22,7 +22,7 @@ from bench.batch.store import list_runs
 from bench.batch.work import stored_calibration
 from bench.calibration.estimators import GLS, find_estimator
 from bench.config.bench_file.file import load_bench
-from bench.results.validation import (
+from bench.results.registers import (
     NOT_PROVEN,
     AgainstPart,
     ChangedRun,

@@ -9,8 +9,7 @@ from typing import Any, ClassVar, Final
 
 from bench.base.text import visible
 from bench.certificate.laboratory import load_laboratory
-from bench.results.registers import Failure, FailuresResult, NotedRemedy
-from bench.results.validation import ValidationResult
+from bench.results.registers import Failure, FailuresResult, NotedRemedy, ValidationResult
 from bench.run.events import EventType, RecordError
 from bench.run.folder import Run, all_runs
 from bench.run.sentences import sentence

@@ -21,7 +21,7 @@ from typing import Any, Final
 
 from bench.base.computing import tracked
 from bench.config.bench_file.file import BenchFile, load_bench
-from bench.results.validation import ValidationCheck
+from bench.results.registers import ValidationCheck
 from bench.services.errors import sentence
 from bench.services.validated import OURS, ROOT
 from drivers.clock import SystemClock

@@ -24,7 +24,7 @@ RESULTS: Final = {
     "batch": "batch.BatchResult",
     "budget": "budget.BudgetResult",
     "calibrate": "calibration.CalibrateResult",
-    "calibrate-record": "record_calibration.RecordCalibrateResult",
+    "calibrate-record": "known_input.RecordCalibrateResult",
     "catalogue-ask": "catalogue.AskResult",
     "catalogue-due": "catalogue.DueResult",
     "catalogue-sync": "catalogue.SyncResult",
@@ -36,7 +36,7 @@ RESULTS: Final = {
     "compensate": "compensation.CompensateResult",
     "diagnose": "diagnosis.DiagnoseResult",
     "diagnose-free": "free_diagnosis.FreeDiagnoseResult",
-    "diagnose-record": "record_diagnosis.RecordDiagnoseResult",
+    "diagnose-record": "known_input.RecordDiagnoseResult",
     "confirm": "confirm.ConfirmResult",
     "failures": "registers.FailuresResult",
     "fleet-cmc": "fleet.CapabilityResult",
@@ -60,8 +60,8 @@ RESULTS: Final = {
     "source-failed": "parts.FailedPart",
     "stability": "stability.StabilityResult",
     "tumble": "tumble.TumbleResult",
-    "validate": "validation.ValidationResult",
-    "validate-register": "validation.ValidationRegisterResult",
+    "validate": "registers.ValidationResult",
+    "validate-register": "registers.ValidationRegisterResult",
     "verify": "verification.VerifyResult",
 }
 """The model of each result by schema name: module (in `bench.results`, or in full) and class."""

@@ -17,7 +17,7 @@ from bench.diagnosis.record_search import RecordWork
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.csv import read_csv
 from bench.readings.table import is_record
-from bench.results.record_diagnosis import what_in_words
+from bench.results.known_input import what_in_words
 from tests.support.known_inputs import (
     BATH,
     BATH_COLUMNS,
