@@ -17,8 +17,7 @@ from bench.base.text import visible
 from bench.base.yaml_files import FileMistakes
 from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder
-from bench.panel.outcome import previous_calibration
-from bench.panel.results import is_plain, told_by
+from bench.panel.results import is_plain, previous_calibration, told_by
 from bench.panel.stream import COVERAGE
 from bench.readings.csv import ReadingsError
 from bench.run.events import EVENTS, RecordError

@@ -11,7 +11,7 @@ from bench.base.languages import catalogue
 from bench.base.numbers import rounded
 from bench.panel.access import Role
 from bench.panel.folder import RunsFolder
-from bench.panel.outcome import (
+from bench.panel.results import (
     EDGE,
     LABELS,
     LONGEST_RESULTS_S,
@@ -19,8 +19,8 @@ from bench.panel.outcome import (
     outcome_of,
     picture_of,
     previous_calibration,
+    results_of,
 )
-from bench.panel.results import results_of
 from bench.panel.run_events import RunView
 from bench.panel.run_state import alarm_of
 from bench.panel.stream import DISK_NEEDED, Follower
@@ -123,7 +123,7 @@ def test_results_that_are_being_computed_are_waited_for(judged):
 
 
 def test_a_run_says_whether_its_results_are_missing_or_not_due(runs, judged, anna, monkeypatch):
-    monkeypatch.setattr("bench.panel.outcome.LONGEST_RESULTS_S", 0.0)
+    monkeypatch.setattr("bench.panel.results.LONGEST_RESULTS_S", 0.0)
     for name in ("calibrate.json", "verify.json"):
         (judged / name).unlink()
     page = anna.get("/runs/run/").text

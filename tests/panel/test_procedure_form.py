@@ -11,7 +11,7 @@ from bench.config.procedure.load import load_procedure
 from bench.config.shipped import PROCEDURES
 from bench.panel.access import Refusal, Role
 from bench.panel.own_files import shipped_files
-from bench.panel.procedure_fields import (
+from bench.panel.pages.procedure import (
     AS_LIST,
     AS_STEPS,
     rows_of,

@@ -18,8 +18,8 @@ from bench.base.numbers import without_infinity
 from bench.panel.access import Person, Refusal, Role
 from bench.panel.holding import change, read_holding, require_holder
 from bench.panel.launching import resume_run
-from bench.panel.outcome import Outcome, outcome_of
 from bench.panel.pages.queue import next_unit
+from bench.panel.results import Outcome, outcome_of
 from bench.panel.shared import acting, looking, page, panel_of, person_of, wants_json
 from bench.panel.stream import as_event
 from bench.run.events import RecordError, Wish

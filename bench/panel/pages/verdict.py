@@ -15,11 +15,10 @@ from bench.panel.access import Refusal, Role
 from bench.panel.folder import read_page
 from bench.panel.launching import diagnose as begin
 from bench.panel.launching import last_words
-from bench.panel.outcome import previous_calibration
 from bench.panel.own_files import NEXT
 from bench.panel.pages.run import run_of
 from bench.panel.plots import FORMS, live_table, plots_of, sections_of, table_of, written
-from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, results_of
+from bench.panel.results import DIAGNOSIS, REPORT, figure_of, is_plain, previous_calibration, results_of
 from bench.panel.shared import APART, acting, page, panel_of
 from bench.panel.stream import COVERAGE
 from bench.run.events import RunState
