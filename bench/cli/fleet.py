@@ -11,7 +11,7 @@ import typer
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
-from bench.services.requests.history import Capability, CompareBenches, DriftOfUnit, OfFleet
+from bench.services.requests.evaluation import Capability, CompareBenches, DriftOfUnit, OfFleet
 
 if TYPE_CHECKING:
     from bench.catalogue.values import CoefficientTable

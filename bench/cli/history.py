@@ -11,7 +11,7 @@ import typer
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command
 from bench.services.errors import Refused
-from bench.services.requests.history import Chart, Compare, Learn, Monitor, Stability
+from bench.services.requests.evaluation import Chart, Compare, Learn, Monitor, Stability
 
 
 @command("bench chart runs --bench my-bench.yaml --page chart.html")

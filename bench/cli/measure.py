@@ -12,8 +12,7 @@ from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
 from bench.services.errors import Refused
-from bench.services.requests.measuring import ResumeRequest, RunRequest
-from bench.services.requests.records import AbortRun, ControlRun
+from bench.services.requests.measuring import AbortRun, ControlRun, ResumeRequest, RunRequest
 from bench.services.requests.shared import runs_folder
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command, devices_given
 from bench.services.errors import Refused, refusing
-from bench.services.requests.planning import Budget, Check, Init, PlanPoints, Require
+from bench.services.requests.measuring import Budget, Check, Init, PlanPoints, Require
 
 if TYPE_CHECKING:
     from rich.console import Console

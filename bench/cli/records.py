@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
-from bench.services.requests.records import (
+from bench.services.requests.measuring import (
     ExportReadings,
     ImportReadings,
     ListRuns,

@@ -365,7 +365,7 @@ def main() -> None:
 
 def checked(wanted: WantedRun, folder: Path) -> TrialResult:
     """Return the findings of `bench check`; the stage is "trying" if a dry run is possible, else "done"."""
-    from bench.services.requests.planning import Check
+    from bench.services.requests.measuring import Check
     from bench.services.until import look_ahead
 
     try:

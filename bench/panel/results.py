@@ -414,7 +414,7 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
     from bench.results.compare import compare_result  # the analyses take long to import
     from bench.services.errors import Refused
     from bench.services.history import compared
-    from bench.services.requests.history import Compare
+    from bench.services.requests.evaluation import Compare
 
     try:
         files = tuple(str(one.folder / CALIBRATE_FILE) for one in (previous, run))

@@ -32,7 +32,7 @@ from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
 from bench.services.coefficients import coefficients_of, date_of
 from bench.services.errors import NoCheckBlock, Refused
-from bench.services.requests.history import Chart
+from bench.services.requests.evaluation import Chart
 from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl

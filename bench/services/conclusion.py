@@ -28,7 +28,7 @@ from bench.run.record import Record
 from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told, origin_beside, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused, refusing
-from bench.services.requests import records as asked
+from bench.services.requests import measuring as asked
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.source import Request, Source, load_sources
 from bench.services.verification import VerificationResult

@@ -51,8 +51,8 @@ from bench.services.bench_selection import BenchTaken
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import date_of, dated, is_result, snapshots_in
 from bench.services.errors import Refused
-from bench.services.requests import history as asked
-from bench.services.requests.history import Learn
+from bench.services.requests import evaluation as asked
+from bench.services.requests.evaluation import Learn
 from bench.services.source import Source, data_sha256, load_sources, reading, refuse_copies, time_of
 from bench.services.traceability import voltmeter_names
 from drivers.clock import utc_now

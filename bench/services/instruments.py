@@ -38,7 +38,7 @@ from bench.run.workbench import QUICK_NPLC
 from bench.services.bench_selection import bench_path
 from bench.services.errors import Refused, refusing
 from bench.services.own_effects import simulated_truth
-from bench.services.requests.planning import Check
+from bench.services.requests.measuring import Check
 from bench.services.requests.shared import runs_folder
 from drivers.angles import format_dms
 from drivers.clock import Clock, Haste, utc_now

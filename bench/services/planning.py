@@ -69,7 +69,7 @@ from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken, find_bench_file
 from bench.services.coefficients import read_coefficients
 from bench.services.errors import Refused, named, quantity
-from bench.services.requests.planning import Budget, PlanPoints, Require
+from bench.services.requests.measuring import Budget, PlanPoints, Require
 from bench.services.source import NO_GRAVITY, check_gravity
 from bench.services.traceability import take_learned, with_effects
 from bench.services.verification import VerdictOptions, judgement_of

@@ -17,7 +17,7 @@ from bench.run.events import ENDED, RecordError, RunState
 from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run, statement_in
 from bench.run.record import is_being_written
 from bench.services.errors import Refused, refusing
-from bench.services.requests.records import SealRun, ShowRun
+from bench.services.requests.measuring import SealRun, ShowRun
 from bench.services.requests.shared import name_to_type, runs_folder
 from drivers.clock import utc_now
 

@@ -40,7 +40,7 @@ from bench.run.folder import BENCH, Run, find_run
 from bench.services.arguments import python_call
 from bench.services.bench_selection import BenchTaken, OriginBeside, bench_of, origin_beside
 from bench.services.errors import Refused
-from bench.services.requests import history as asked
+from bench.services.requests import evaluation as asked
 from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, Source, load_sources, provenance
 

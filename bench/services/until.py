@@ -73,7 +73,7 @@ from bench.services.calibration import calibration_of
 from bench.services.errors import Refused, named, quantity
 from bench.services.fitness import reminders, without_gravity
 from bench.services.planning import delta_g_of, stand_of
-from bench.services.requests.planning import Check
+from bench.services.requests.measuring import Check
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
 from bench.services.traceability import NOTHING_LEARNED, LearnedTaken, learned_for_run, remarks, with_effects

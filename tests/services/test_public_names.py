@@ -15,7 +15,7 @@ import pytest
 import bench
 from bench.cli.commands import COMMANDS, load_command
 from bench.services.arguments import kinds_of
-from bench.services.requests.history import Learn
+from bench.services.requests.evaluation import Learn
 from bench.services.requests.measuring import DryRunRequest
 
 HEAVY = ("numpy", "scipy", "pydantic", "matplotlib", "pandas", "rich", "importlib.metadata")

@@ -18,8 +18,8 @@ from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
 from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
-from bench.certificate.dcc.lists import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
+from bench.certificate.dcc.rules import Dimension, NotRead, RealList, files_in, real_lists, said
 from bench.certificate.register import ISSUED, LINES, REVOKED, Register
 from bench.certificate.signatures import ORIGINAL, SIGNATURE, NoCertificate, NotIntact, check_xml, parser
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate, VoltmeterCertificate

@@ -15,7 +15,7 @@ from bench.panel.access import Refusal, Role
 from bench.panel.folder import UNREAD, RunRow
 from bench.panel.shared import APART, looking, page, panel_of
 from bench.services.errors import NoCheckBlock, Refused
-from bench.services.requests.history import Chart
+from bench.services.requests.evaluation import Chart
 
 if TYPE_CHECKING:
     from bench.results.control_chart import CheckBlockChart
