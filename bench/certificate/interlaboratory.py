@@ -122,34 +122,17 @@ def seal_of(result: str) -> str:
         raise Refused(f"{result}: cannot be read ({error.strerror}); give a file or its SHA-256") from error
 
 
-def sealed(kit: Kit, given: Mapping[str, str]) -> Kit:
-    """Return the plan with a seal for each result in `given`, which maps codes to files or seals.
+def kit_evaluated(request: EvaluateKit) -> KitResult:
+    """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
 
-    Raises `Refused` for an unknown code, or for one that is sealed with another result.
+    Sensitivities, offsets and angles between the axes are compared, since the mounting does not change them.
+    Results and checks are given as CODE=FILE. A result is a file of `calibrate --json`, or a DCC (XML, PDF) of any
+    program; `g` is the local gravity (m/s²) for a DCC that does not state it. A `check` is a run of a monitor
+    procedure at a stop, in order of time. If checks or the pilot's results show a significant change of the
+    block, the u of each difference is widened. Raises `Refused` for a missing result or seal, or a broken one.
     """
-    for code in given:
-        if kit.stop(code).seal not in {"", seal_of(given[code])}:
-            raise Refused(
-                f"{code}: is sealed already with another result; give that one, or plan a new comparison"
-            )
-    seals = {stop.code: seal_of(given[stop.code]) if stop.code in given else stop.seal for stop in kit.stops}
-    stops = tuple(stop.model_copy(update={"seal": seals[stop.code]}) for stop in kit.stops)
-    return kit.model_copy(update={"stops": stops})
-
-
-def evaluate_kit(
-    kit: Kit,
-    given: Mapping[str, str],
-    g_m_s2: float | None = None,
-    checks: Mapping[str, Sequence[str]] | None = None,
-) -> KitResult:
-    """Return the comparison of the laboratories; `given` has the path of each stop's result by code.
-
-    A result is a file of `calibrate --json`, or a DCC (XML, PDF) of any program. `g_m_s2` is the local gravity
-    (m/s²) for DCCs that do not state it. `checks` has the runs of a monitor procedure at each stop, by code,
-    in order of time. If these runs or the pilot's results show a significant change of the block, the u of
-    each difference is widened. Raises `Refused` if a seal is missing or broken, or a stop has no result.
-    """
+    kit, given, g_m_s2 = load_kit(Path(request.plan)), _results(request), request.g
+    checks = _by_code(request.check)
     problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
     problems += [
         f"{s.code}: has no seal; seal every result before any is opened" for s in kit.stops if not s.seal
@@ -172,7 +155,7 @@ def evaluate_kit(
         )
     nine = [there[code].per_standard_g().in_nine() for code in once]
     values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
-    drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks or {})]
+    drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks)]
     transport = transport_dark([drift for *_, drift in drifts], INTRINSIC)
     judged = against_others(values, covariances, transport)
     covariances = covariances + np.diag(transport**2)
@@ -274,18 +257,19 @@ def kit_sealed(request: SealKit) -> Kit:
     Raises `Refused` for an unknown code, or for one that is sealed with another result.
     """
     path = Path(request.plan)
-    kit = sealed(load_kit(path), _results(request))
+    kit, given = load_kit(path), _results(request)
+    for code in given:
+        if kit.stop(code).seal not in {"", seal_of(given[code])}:
+            raise Refused(
+                f"{code}: is sealed already with another result; give that one, or plan a new comparison"
+            )
+    stops = (
+        stop.model_copy(update={"seal": seal_of(given[stop.code])}) if stop.code in given else stop
+        for stop in kit.stops
+    )
+    kit = kit.model_copy(update={"stops": tuple(stops)})
     write_kit(path, kit)
     return kit
-
-
-def kit_evaluated(request: EvaluateKit) -> KitResult:
-    """Compare each laboratory with the consensus of the others, as `bench kit evaluate` does.
-
-    Sensitivities, offsets and angles between the axes are compared, since the mounting does not change them.
-    Results and checks are given as CODE=FILE. Raises `Refused` for a missing result or seal, or a broken one.
-    """
-    return evaluate_kit(load_kit(Path(request.plan)), _results(request), request.g, _by_code(request.check))
 
 
 kit_plan = python_call(PlanKit, kit_planned, "kit_plan")

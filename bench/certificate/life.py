@@ -16,8 +16,9 @@ from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of, load_laboratory, load_order
-from bench.certificate.register import ISSUED, REVOKED, Entry, NumberStatus, Register, opened
+from bench.certificate.register import ISSUED, REVOKED, NumberStatus, Register
 from bench.results.certificate import IssuedRun, RegisteredCertificate, RegisterResult
+from bench.services.chain import Entry, opened
 from bench.services.errors import Refused, sentence
 from bench.services.requests.documents import CheckRegister, IssueCertificates, Issuing, RevokeCertificate
 from bench.services.requests.shared import runs_folder
@@ -145,7 +146,7 @@ def _tried(name: str, make: Callable[[str], IssuedRun]) -> IssuedRun:
 
 def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedRun:
     certificate = _wanted(name, desk)
-    with opened(register.folder, register):
+    with opened(register):
         head = certificate.found.record.head
         for known in register.standings.values():
             if known.state == ISSUED and known.entry.data["record"]["head"] == head:
@@ -172,7 +173,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     unless `replaced`, is for another run.
     """
     person, certificate = desk.person(), _wanted(name, desk)
-    with opened(desk.laboratory.register_folder) as register:
+    with opened(Register(desk.laboratory.register_folder)) as register:
         old = holds(register, number).entry
         item = certificate.found.item
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
@@ -195,7 +196,7 @@ def revoke(request: RevokeCertificate) -> None:
     if request.authorised_by is None:
         raise Refused("nobody is named who authorises the revocation; give --authorised-by NAME")
     person = laboratory.authorised_person(request.authorised_by)
-    with opened(laboratory.register_folder) as register:
+    with opened(Register(laboratory.register_folder)) as register:
         holds(register, request.number)
         told = {"reason": request.reason}
         register.append(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
@@ -333,7 +334,7 @@ def checked(request: CheckRegister) -> tuple[RegisterResult, list[Path]]:
             "--out hands out one certificate, but no number is given; add the number of the certificate"
         )
     folder = laboratory_in(request.laboratory).register_folder
-    with opened(folder) as register:
+    with opened(Register(folder)) as register:
         result = register_result(
             register, request.number, runs_folder(request.runs) if request.again else None
         )

@@ -9,17 +9,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import ClassVar, Final
 
 from bench.base.files import read_regular, sync_folder, write_synced
-from bench.services import chain
-from bench.services.chain import LINES, MADE_FROM, Chain, Entry
+from bench.services.chain import Chain, Entry
 from bench.services.errors import Refused, refusing
-
-__all__ = ["ISSUED", "LINES", "MADE_FROM", "REVOKED", "Entry", "NumberStatus", "Register", "opened"]
 
 _PART: Final = ".part"
 
@@ -129,12 +125,3 @@ class Register(Chain):
         elif not (self.folder / name).exists() and hashlib.sha256(read_regular(part)).hexdigest() == stated:
             part.replace(self.folder / name)
             sync_folder(self.folder)
-
-
-def opened(folder: Path, known: Register | None = None) -> AbstractContextManager[Register]:
-    """Return a context manager that locks, reads and yields the register of a folder.
-
-    `known` is this register as read before, if any. A missing folder is created. Raises `Refused` if another
-    program has locked the register, or if the register is damaged or cannot be written.
-    """
-    return chain.opened(known or Register(folder))

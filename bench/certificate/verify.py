@@ -23,7 +23,7 @@ from bench.certificate.content import RunFindings
 from bench.certificate.dcc.reading import ShownValues, shown_of
 from bench.certificate.gather import found_by
 from bench.certificate.page import DCC, RELATIONS, faults_of
-from bench.certificate.register import LINES, Register
+from bench.certificate.register import Register
 from bench.certificate.signatory import certificates_in, fingerprint_of, name_of, why_not_trusted
 from bench.certificate.signatures import (
     ORIGINAL,
@@ -40,6 +40,7 @@ from bench.results.certificate import RegisterSays, SignerPart, VerifyResult
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import Run, find_run
 from bench.run.seal import Seal
+from bench.services.chain import LINES
 from bench.services.errors import Refused, refusing, sentence
 from bench.services.verification import NOTHING_ASKED, VerdictOptions
 

@@ -12,7 +12,8 @@ from bench.catalogue.questions import run_folders
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.catalogue.unit import due_units
-from bench.certificate.register import ISSUED, Entry, opened
+from bench.certificate.register import ISSUED, Register
+from bench.services.chain import Entry, opened
 from tests.support.laboratory import write_run
 
 COUNT = 24
@@ -119,7 +120,7 @@ def test_a_register_tells_which_certificate_was_issued_of_which_run(runs, tmp_pa
         with catalogue.reading() as connection:
             asked = select(store.RUNS.c.head).where(store.RUNS.c.name == "r07")
             head = connection.execute(asked).scalar_one()
-        with opened(runs / "certificates") as register:
+        with opened(Register(runs / "certificates")) as register:
             data = {"run": "r07", "record": {"head": head}}
             register.issue(Entry(ISSUED, "C-1", "2026-05-01T00:00:00+00:00", "A. Example", data), {})
         assert sync(catalogue, [runs]).problems == {}

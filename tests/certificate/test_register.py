@@ -25,9 +25,10 @@ from bench.certificate.laboratory import (
     texts_of,
 )
 from bench.certificate.page import data_of
-from bench.certificate.register import ISSUED, LINES, REVOKED, Entry, Register, opened
+from bench.certificate.register import ISSUED, REVOKED, Register
 from bench.config.shipped import CERTIFICATE, shipped_folder
 from bench.services import chain
+from bench.services.chain import LINES, Entry, opened
 from bench.services.errors import Refused
 from tests.support.certificates import write_files
 
@@ -37,7 +38,7 @@ def entry(number, **data):
 
 
 def issue(folder, *numbers):
-    with opened(folder) as register:
+    with opened(Register(folder)) as register:
         for number in numbers:
             register.issue(entry(number), {f"{number}.xml": number.encode(), f"{number}.pdf": b"pdf"})
 
@@ -48,7 +49,7 @@ def names(folder):
 
 def test_what_was_issued_is_there_when_it_is_opened_again(tmp_path):
     issue(tmp_path, "1", "2")
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         assert list(register.standings) == ["1", "2"]
         assert register.file("2.xml") == b"2"
         assert register.number_after(iter("123")) == "3"
@@ -57,7 +58,7 @@ def test_what_was_issued_is_there_when_it_is_opened_again(tmp_path):
 
 def test_a_number_is_never_issued_twice(tmp_path):
     issue(tmp_path, "1")
-    with opened(tmp_path) as register, pytest.raises(Refused, match="issued before"):
+    with opened(Register(tmp_path)) as register, pytest.raises(Refused, match="issued before"):
         register.issue(entry("1"), {"1.xml": b"other"})
     assert (tmp_path / "1.xml").read_bytes() == b"1"
 
@@ -72,17 +73,17 @@ def test_each_line_has_the_hash_of_the_one_before(tmp_path):
         [b"{}\n"],
     ):
         (tmp_path / LINES).write_bytes(b"".join(wrong))
-        with pytest.raises(Refused, match=f"{LINES}, line"), opened(tmp_path):
+        with pytest.raises(Refused, match=f"{LINES}, line"), opened(Register(tmp_path)):
             pass
 
 
 def test_lines_that_are_taken_away_while_it_is_known_are_noticed(tmp_path):
     issue(tmp_path, "1", "2")
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         pass
     lines = (tmp_path / LINES).read_bytes().splitlines(keepends=True)
     (tmp_path / LINES).write_bytes(lines[0])
-    with pytest.raises(Refused, match="the last lines are missing"), opened(tmp_path, register):
+    with pytest.raises(Refused, match="the last lines are missing"), opened(register):
         pass
 
 
@@ -91,7 +92,7 @@ def test_a_half_written_line_is_no_line(tmp_path):
     with (tmp_path / LINES).open("ab") as file:
         file.write(b'{"n": 2, "type": "iss')
     issue(tmp_path, "2")
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         assert list(register.standings) == ["1", "2"]
 
 
@@ -126,7 +127,7 @@ def killed(tmp_path, monkeypatch, name, after):
 def test_killed_before_its_line_a_certificate_is_not_there(tmp_path, monkeypatch, operation, after):
     issue(tmp_path, "1")
     assert killed(tmp_path, monkeypatch, operation, after)
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         assert list(register.standings) == ["1"]
         assert register.number_after(iter("123")) == "2"
     assert names(tmp_path) == {LINES, "1.xml", "1.pdf"}
@@ -136,7 +137,7 @@ def test_killed_after_its_line_a_certificate_is_there_whole(tmp_path, monkeypatc
     issue(tmp_path, "1")
     assert killed(tmp_path, monkeypatch, "sync_folder", 2)
     assert "2.xml.part" in names(tmp_path)
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         assert register.file("2.xml") == b"2"
         assert register.damaged_files() == []
     assert names(tmp_path) == {LINES, "1.xml", "1.pdf", "2.xml", "2.pdf"}
@@ -146,7 +147,7 @@ def test_a_file_that_was_changed_is_not_handed_out(tmp_path):
     issue(tmp_path, "1")
     (tmp_path / "1.pdf").write_bytes(b"other")
     (tmp_path / "1.xml").unlink()
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         with pytest.raises(Refused, match="the file differs from the issued one"):
             register.file("1.pdf")
         assert len(register.damaged_files()) == 2
@@ -155,7 +156,7 @@ def test_a_file_that_was_changed_is_not_handed_out(tmp_path):
 
 
 def test_what_is_kept_is_kept_once_and_checked(tmp_path):
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         digest = register.keep(b"order")
         assert register.keep(b"order") == digest
         assert register.kept(digest) == b"order"
@@ -166,11 +167,11 @@ def test_what_is_kept_is_kept_once_and_checked(tmp_path):
 
 def test_what_replaces_and_what_revokes_is_known(tmp_path):
     issue(tmp_path, "1", "2")
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         before = {"number": "1", "kind": "amended"}
         register.issue(entry("3", before=before), {"3.xml": b"3"})
         register.append(Entry(REVOKED, "2", "2026-11-23", "A. Example", {"reason": "wrong unit"}))
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         told = {number: (one.state, one.by) for number, one in register.standings.items()}
     assert told == {"1": ("amended", "3"), "2": ("revoked", "wrong unit"), "3": ("issued", "")}
 
@@ -178,23 +179,27 @@ def test_what_replaces_and_what_revokes_is_known(tmp_path):
 def test_the_same_register_stays_open_for_the_next_certificate(tmp_path):
     known = Register(tmp_path)
     for number in "12":
-        with opened(tmp_path, known) as register:
+        with opened(known) as register:
             register.issue(entry(number), {f"{number}.xml": b""})
         issue(tmp_path, f"by-another-{number}")
-    with opened(tmp_path, known) as register:
+    with opened(known) as register:
         assert list(register.standings) == ["1", "by-another-1", "2", "by-another-2"]
 
 
 def test_another_program_is_waited_for_and_then_told_of(tmp_path, monkeypatch):
     monkeypatch.setattr(chain, "WAIT_S", 0.05)
-    with opened(tmp_path), pytest.raises(Refused, match="another program has"), opened(tmp_path):
+    with (
+        opened(Register(tmp_path)),
+        pytest.raises(Refused, match="another program has"),
+        opened(Register(tmp_path)),
+    ):
         pass
 
 
 @pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="root may write everywhere")
 def test_a_folder_that_cannot_be_written_is_told(tmp_path):
     tmp_path.chmod(0o500)
-    with pytest.raises(Refused, match="cannot be written"), opened(tmp_path / "register"):
+    with pytest.raises(Refused, match="cannot be written"), opened(Register(tmp_path / "register")):
         pass
 
 
@@ -215,7 +220,7 @@ def program(folder, name, certificates):
         return process
     try:
         for n in range(certificates):
-            with opened(folder) as register:
+            with opened(Register(folder)) as register:
                 number = register.number_after(str(k) for k in range(1, 10_000))
                 data = {"record": {"head": f"{name}-{n}"}}
                 entry = Entry(ISSUED, number, "2026-11-22T12:00:00+00:00", name, data)
@@ -227,7 +232,7 @@ def program(folder, name, certificates):
 
 def check(folder):
     """Check what stands in a folder of a register; return how many certificates there are."""
-    with opened(folder) as register:
+    with opened(Register(folder)) as register:
         assert register.damaged_files() == []
         numbers = [int(number) for number in register.standings]
         known = {name for standing in register.standings.values() for name in standing.entry.files}
@@ -242,7 +247,7 @@ def test_two_programs_at_once_give_each_number_once(tmp_path):
     for process in [program(tmp_path, name, 8) for name in "ab"]:
         assert os.waitpid(process, 0)[1] == 0
     assert check(tmp_path) == 16
-    with opened(tmp_path) as register:
+    with opened(Register(tmp_path)) as register:
         assert {standing.entry.by for standing in register.standings.values()} == {"a", "b"}
 
 

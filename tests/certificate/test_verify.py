@@ -14,9 +14,10 @@ from rich.console import Console
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.reading import coefficients_in, shown_of
 from bench.certificate.page import body_of
-from bench.certificate.register import ISSUED, REVOKED, Entry, opened
+from bench.certificate.register import ISSUED, REVOKED, Register
 from bench.certificate.signatures import sign_pdf, sign_xml
 from bench.certificate.verify import verify_certificate
+from bench.services.chain import Entry, opened
 from bench.services.errors import Refused
 from tests.support.certificates import RECORDED
 from tests.support.signed import NOW, a_signatory, authority
@@ -259,7 +260,7 @@ def forms(made):
 def issued(folder, forms, number=NUMBER, **data):
     """Issue a certificate in a register of its own; return where its PDF stands."""
     entry = Entry(ISSUED, number, NOW.isoformat(), "A", {"record": {"head": ""}, "signed_by": None, **data})
-    with opened(folder) as register:
+    with opened(Register(folder)) as register:
         register.issue(entry, {f"{number}.{form}": content for form, content in forms.items()})
     return folder / f"{number}.pdf"
 
@@ -281,7 +282,7 @@ def changed(folder, forms):
 
 def revoked(folder, forms):
     file = issued(folder / "register", forms)
-    with opened(folder / "register") as register:
+    with opened(Register(folder / "register")) as register:
         register.append(Entry(REVOKED, NUMBER, NOW.isoformat(), "A", {"reason": "wrong unit"}))
     return file, folder / "register"
 

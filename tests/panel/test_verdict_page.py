@@ -8,10 +8,11 @@ import pytest
 
 from bench.base.numbers import rounded
 from bench.certificate.laboratory import load_laboratory
-from bench.certificate.register import ISSUED, Entry, opened
+from bench.certificate.register import ISSUED, Register
 from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
 from bench.panel.own_files import NEXT
+from bench.services.chain import Entry, opened
 from tests.support.pages import ROOT
 from tests.support.panel_client import HOME, OWN, Browser, TestClient
 
@@ -141,7 +142,7 @@ def test_the_certificates_of_this_very_record_are_handed_out(runs, judged, tmp_p
     laboratory = tmp_path / "lab" / "laboratory.yaml"
     folder = load_laboratory(laboratory).register_folder
     head = json.loads((judged / "calibrate.json").read_text())["record"]["head"]
-    with opened(folder) as register:
+    with opened(Register(folder)) as register:
         for number, of in (("A-1", head), ("A-2", "of another record")):
             told = {"run": "run", "record": {"head": of}, "signed_by": None}
             register.issue(

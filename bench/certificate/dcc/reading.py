@@ -20,11 +20,12 @@ from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
 from bench.certificate.dcc.rules import Dimension, NotRead, RealList, files_in, real_lists, said
-from bench.certificate.register import ISSUED, LINES, REVOKED, Register
+from bench.certificate.register import ISSUED, REVOKED, Register
 from bench.certificate.signatures import ORIGINAL, SIGNATURE, NoCertificate, NotIntact, check_xml, parser
 from bench.config.devices.device import Certificate, ChamberCertificate, HeadCertificate, VoltmeterCertificate
 from bench.model.geometry import COEFFICIENTS
 from bench.results.certificate import CertificateSays, CertifiedCoefficient
+from bench.services.chain import LINES
 from bench.services.coefficients import coefficients_of
 from bench.services.errors import Refused, refusing
 

@@ -318,7 +318,7 @@ DEVICE = (
     Device(
         "encoder-line",
         EncoderLineSection,
-        driver="drivers.instruments.encoder_line:EncoderLine",
+        driver="drivers.instruments.text_line:EncoderLine",
         simulation="sim.counters:EncoderLine",
         example={
             "resource": "ASRL/dev/ttyUSB0::INSTR",

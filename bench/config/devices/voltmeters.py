@@ -300,7 +300,7 @@ DEVICE = (
     Device(
         "line-thermometer",
         LineThermometerSection,
-        driver="drivers.instruments.line_thermometer:LineThermometer",
+        driver="drivers.instruments.text_line:LineThermometer",
         simulation="sim.counters:LineThermometer",
         example={
             "resource": "ASRL/dev/ttyUSB1::INSTR",
