@@ -189,7 +189,7 @@ def tumble(
     request: Tumble, json: JsonOption = None, out: OutOption = None, strict: StrictFitOption = False
 ) -> int:
     """Fit each axis of a multi-point tumble by IEEE 1293: bias, scale factor, misalignments, K2, K3, Koq."""
-    from bench.results.tumble import print_tumble
+    from bench.results.compensation import print_tumble
     from bench.services.compensation import tumbled
     from bench.services.source import load_sources, reading
 

@@ -22,10 +22,17 @@ from bench.model.geometry import COEFFICIENTS
 from bench.results import diagnosis_page as pages
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files, print_gap
-from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, gap_part
+from bench.results.diagnosis_parts import (
+    AloneResult,
+    BetweenRecordsPart,
+    CopyPart,
+    FoundPart,
+    between_part,
+    gap_part,
+    repeats_between,
+)
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
-from bench.results.repeats import BetweenRecordsPart, between_part, repeats_between
 from bench.results.tables import Row
 
 if TYPE_CHECKING:

@@ -25,11 +25,18 @@ from bench.history.stability import Stability
 from bench.results import diagnosis_words as words
 from bench.results.diagnosis import print_effect, print_files
 from bench.results.diagnosis_page import render_alone
-from bench.results.diagnosis_parts import AloneResult, EffectPart, GapPart, gap_part
+from bench.results.diagnosis_parts import (
+    AloneResult,
+    EffectPart,
+    GapPart,
+    RepeatsPart,
+    gap_part,
+    repeats_part,
+    repeats_told,
+)
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.parts import BenchPart, Corrections, ReadingsPart
 from bench.results.plots import BLUE, VERMILION, legend_of, svg_figure
-from bench.results.repeats import RepeatsPart, repeats_part, repeats_told
 from bench.results.stability import allan_figure, averaging_lines
 from bench.results.tables import page
 

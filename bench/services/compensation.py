@@ -19,12 +19,11 @@ from bench.calibration.temperature import CompensationTable, TemperatureModel, l
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import TumbleView, combine, tumble_view
 from bench.calibration.verification import Verification, verify
-from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
+from bench.exchange.checks import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_centrifuge
-from bench.results.compensation import CompensateResult, compensate_result
-from bench.results.tumble import TumbleResult, tumble_result
+from bench.results.compensation import CompensateResult, TumbleResult, compensate_result, tumble_result
 from bench.services.arguments import python_call
 from bench.services.calibration import calibration_of
 from bench.services.coefficients import block_result, is_result, results_in

@@ -59,7 +59,7 @@ RESULTS: Final = {
     "require": "planning.RequireResult",
     "source-failed": "parts.FailedPart",
     "stability": "stability.StabilityResult",
-    "tumble": "tumble.TumbleResult",
+    "tumble": "compensation.TumbleResult",
     "validate": "registers.ValidationResult",
     "validate-register": "registers.ValidationRegisterResult",
     "verify": "verification.VerifyResult",

@@ -13,7 +13,7 @@ import pytest
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.temperature import inverse_entries, make_table
 from bench.calibration.temperature_fit import temperature_model
-from bench.exchange.compensation import c_header, json_test, table_checks, table_csv
+from bench.exchange.checks import c_header, json_test, table_checks, table_csv
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.results.compensation import table_part
 from bench.validation.paper_bench import STAND_U, TRUTH
