@@ -45,7 +45,7 @@ from bench.results.catalogue import (
     due_part,
 )
 from bench.services.errors import Refused
-from bench.services.fitness import REMINDED_DAYS
+from bench.services.validated import REMINDED_DAYS
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:

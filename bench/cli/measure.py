@@ -37,7 +37,7 @@ def run(request: RunRequest, json: JsonOption = None) -> int:
             "--follow makes two runs, but --json holds one result; remove --json (each run's folder holds "
             "its result)"
         )
-    from bench.services.fitness import refuse_contradictions
+    from bench.services.validated import refuse_contradictions
 
     refuse_contradictions(request)
     done, status = _measured(request, json)

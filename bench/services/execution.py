@@ -62,13 +62,18 @@ from bench.run.terminal import ProgressBar, TerminalPerson
 from bench.run.workbench import BenchSetup
 from bench.services.bench_selection import bench_for_record, bench_path, why_taken
 from bench.services.errors import Refused
-from bench.services.fitness import agree_to_expired, is_away, refuse_unfit, without_gravity
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
 from bench.services.requests.shared import name_to_type, runs_folder
 from bench.services.traceability import remarks
-from bench.services.validated import refuse_unvalidated_resumption
+from bench.services.validated import (
+    agree_to_expired,
+    is_away,
+    refuse_unfit,
+    refuse_unvalidated_resumption,
+    without_gravity,
+)
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
 from drivers.clock import Haste, utc_now
 from drivers.interfaces import BenchError

@@ -71,12 +71,12 @@ from bench.run.sentences import size_in_words
 from bench.services.bench_selection import bench_path
 from bench.services.calibration import calibration_of
 from bench.services.errors import Refused, named, quantity
-from bench.services.fitness import reminders, without_gravity
 from bench.services.planning import delta_g_of, stand_of
 from bench.services.requests.measuring import Check
 from bench.services.requests.shared import runs_folder
 from bench.services.source import Request, load_sources
 from bench.services.traceability import NOTHING_LEARNED, LearnedTaken, learned_for_run, remarks, with_effects
+from bench.services.validated import reminders, without_gravity
 from drivers.clock import utc_now
 
 COMBINED: Final = "combined:"

@@ -9,11 +9,11 @@ import pytest
 from bench.config.bench_file.file import load_bench
 from bench.run.events import RunState
 from bench.run.folder import Run
-from bench.services import fitness
+from bench.services import validated
 from bench.services.errors import Refused
 from bench.services.execution import new_run
-from bench.services.fitness import agree_to_expired, refuse_unfit, reminders
 from bench.services.requests.measuring import RunRequest
+from bench.services.validated import agree_to_expired, refuse_unfit, reminders
 from drivers.interfaces import BenchError
 from drivers.person import Answer
 from tests.support.certified_bench import meter_certificate, write_bench
@@ -23,7 +23,7 @@ from tests.support.commands import printed, refused
 @pytest.fixture
 def today(monkeypatch, empty_folder):
     monkeypatch.delenv("BENCH_LABORATORY", raising=False)
-    monkeypatch.setattr(fitness, "utc_now", lambda: datetime(2026, 11, 24, tzinfo=UTC))
+    monkeypatch.setattr(validated, "utc_now", lambda: datetime(2026, 11, 24, tzinfo=UTC))
 
 
 def bench_of(folder, policy, until="2026-10-01"):

@@ -25,7 +25,7 @@ from bench.panel.queue import DUTY, OFF_DUTY, SWITCHED_ON, DayNote, QueueItem, n
 from bench.panel.shared import Panel, acting, looking, page, panel_of
 from bench.run.events import RecordError
 from bench.run.sentences import duration
-from bench.services.fitness import REMINDED_DAYS
+from bench.services.validated import REMINDED_DAYS
 from drivers.clock import utc_now
 
 TO_DO: Final = message("to do")
