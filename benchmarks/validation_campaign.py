@@ -17,7 +17,7 @@ from pathlib import Path
 from bench.config.shipped import CONFIG, find_bench, shipped_folder
 from bench.results.registers import ValidationCheck
 from bench.services.validated import fingerprint
-from bench.validation import gum, machine, statistics
+from bench.validation import gum, machine
 from bench.validation.registry import Check, Context, carry_out, every
 from benchmarks.campaign import arguments
 from benchmarks.validation_faults import FAULTS, PlantedFault
@@ -55,7 +55,7 @@ def healthy(bench: Path, seed: int, random: bool = False) -> list[ValidationChec
 
     With `random`, only the checks with random parts are carried out, in their full size.
     """
-    statistics.SEED = 1000 + seed
+    gum.SEED = 1000 + seed
     gum.SEED_OFFSET = 1000 + seed
     with tempfile.TemporaryDirectory() as scratch:
         context = Context(bench, Path(scratch), quick=not random, accepted=accepted(bench))

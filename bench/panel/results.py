@@ -439,7 +439,7 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
 
 
 def _row(name: str, difference: float, expanded: float, unit: str) -> str:
-    from bench.results.intrinsic import small_unit
+    from bench.results.parts import small_unit
 
     size, shown = small_unit(name, abs(difference), unit)
     sizes = rounded(difference / size, expanded / size, sign=True), uncertainty(expanded / size)

@@ -26,7 +26,7 @@ from bench.calibration.result import (
 )
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
-from bench.results.intrinsic import (
+from bench.results.parts import (
     IntrinsicPart,
     JointPart,
     intrinsic_table,

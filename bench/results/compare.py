@@ -21,8 +21,7 @@ from bench.history.equivalence import BenchComparison, BenchesIn
 from bench.history.measured import STANDARD_GRAVITY
 from bench.model.geometry import COEFFICIENTS
 from bench.results.fleet import MOST_SHOWN, FleetResult, limit_in_words, signed_size
-from bench.results.intrinsic import small_unit
-from bench.results.parts import BenchPart, by_name
+from bench.results.parts import BenchPart, by_name, small_unit
 from bench.results.plots import BLUE, GREY, VERMILION, svg_file, symbol
 
 if TYPE_CHECKING:

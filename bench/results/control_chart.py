@@ -19,8 +19,7 @@ from bench.base.result_model import Real, ResultModel
 from bench.base.tables import as_text, print_notes, table
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.control_chart import ControlChart, Verdict
-from bench.results.intrinsic import small_unit
-from bench.results.parts import ValuePart, by_name
+from bench.results.parts import ValuePart, by_name, small_unit
 from bench.results.plots import BLUE, GREY, VERMILION, svg_figure, symbol
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol

@@ -16,8 +16,7 @@ from bench.base.tables import print_notes, table
 from bench.calibration.intrinsic import INTRINSIC
 from bench.history.equivalence import Drift, LaboratoryJudged
 from bench.results.compare import draw_degrees
-from bench.results.intrinsic import small_unit
-from bench.results.parts import ValuePart, by_name
+from bench.results.parts import ValuePart, by_name, small_unit
 from bench.results.plots import svg_figure
 from bench.results.tables import Row, page
 from bench.results.tables import symbol as html_symbol

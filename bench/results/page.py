@@ -12,7 +12,7 @@ from bench.calibration.conformity import Statement
 from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import Calibration, LackOfFit
 from bench.calibration.verification import Verification
-from bench.results import intrinsic, plots, tables
+from bench.results import parts, plots, tables
 from bench.results.verification import advice, global_risk_in_words, headline, risk_in_words, rule_in_words
 
 
@@ -53,7 +53,7 @@ def render_report(
         measured=_measured(provenance),
         tables=tables,
         plots=plots,
-        intrinsic=intrinsic,
+        intrinsic=parts,
     )
 
 

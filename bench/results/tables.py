@@ -146,7 +146,7 @@ def _ratio(calibration: Calibration, j: int, own: int) -> tuple[float, float]:
 
 def nine(own: Intrinsic) -> list[Row]:
     """Return a row for each intrinsic number: value, its unit, u from the readings, u, U, unit of these three."""
-    from bench.results.intrinsic import shown_rows  # only the report needs it
+    from bench.results.parts import shown_rows  # only the report needs it
 
     return [Row(symbol(name), *cells) for name, *cells in shown_rows(own)]
 

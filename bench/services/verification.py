@@ -21,8 +21,7 @@ from bench.calibration.components import note_on_excess
 from bench.calibration.conformity import SIMPLE, DecisionRule, Population
 from bench.calibration.mistakes import implausible
 from bench.calibration.noise import ONE_TEMPERATURE_K, drifted
-from bench.calibration.orientation import StatedOrientation
-from bench.calibration.verification import Verification, points_of
+from bench.calibration.verification import StatedOrientation, Verification, points_of
 from bench.calibration.verification import verify as check
 from bench.config.bench_file.file import BenchFile
 from bench.readings.corrected import VOLTS

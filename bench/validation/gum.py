@@ -1,6 +1,6 @@
-"""Published cases of the GUM and of its Supplement 1.
+"""Published cases of the GUM and of its Supplement 1; statistics of the program's results.
 
-The tests cover degrees of freedom, coverage factors, intervals, and the validation of linear propagation. The
+The cases cover degrees of freedom, coverage factors, intervals, and the validation of linear propagation. The
 sensitivities are written here, independent of the program.
 """
 
@@ -13,8 +13,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy import stats
 
 from bench.base.arrays import Floats
+from bench.calibration import calibrate
 from bench.calibration.budget.propagation import (
     Distributed,
     Propagated,
@@ -25,8 +27,11 @@ from bench.calibration.budget.propagation import (
     summary,
     validate,
 )
+from bench.calibration.gls import ESTIMATOR
 from bench.model import Distribution
-from bench.validation.reference import agreement
+from bench.model.geometry import COEFFICIENTS
+from bench.validation.paper_bench import STAND_U, TRUTH, simulate
+from bench.validation.reference import MODEL, agreement
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 
@@ -308,3 +313,81 @@ def scaled_t(context: Context) -> Finding:
     """
     draws = drawn(Distribution(0.5), (200_000,), np.random.default_rng(2), 10.0)
     return agreement("", draws.std(), 0.5 * math.sqrt(10 / 8), 0.0056)
+
+
+# --- statistics: are the errors of results in simulated files as large as the stated u? ------------------
+
+
+statistic = partial(enter, family="statistics of own results", place="bench/calibration")
+
+FILES, QUICK_FILES = 200, 60
+NOISE_V: Final = 1e-4
+SEED = 34
+CHANCE: Final = 1e-5
+"""Probability that one of these tests fails by chance, divided equally between its two sides."""
+
+
+def errors(count: int) -> tuple[Floats, Floats, Floats]:
+    """Simulate `count` readings files; return errors and u of the coefficients, and p-values of lack of fit.
+
+    The shapes are (count, 12), (count, 12) and (count,). Each file has its own stand angles and noise, drawn
+    with the seed [`SEED`, number of the file].
+    """
+    error, u, p = [], [], []
+    for number in range(count):
+        readings = simulate(np.random.default_rng([SEED, number]), NOISE_V)
+        found = calibrate(readings, MODEL, STAND_U, 9.81, ESTIMATOR.name)
+        error.append(found.block.vector - TRUTH)
+        u.append(found.u)
+        p.append(found.lack_of_fit.p)
+    return np.array(error), np.array(u), np.array(p)
+
+
+def counted(context: Context) -> tuple[Floats, Floats, Floats]:
+    """Return `errors` for the number of files that the validation uses; the result is cached."""
+    if "errors" not in context.shared:
+        context.shared["errors"] = errors(QUICK_FILES if context.quick else FILES)
+    found: tuple[Floats, Floats, Floats] = context.shared["errors"]
+    return found
+
+
+@statistic("coverage of U", "7.6", "", p_false=12 * CHANCE,
+       source="binomial distribution; (11) is the truth, readings from a geometry of its own")  # fmt: skip
+def coverage(context: Context) -> Iterator[Finding]:
+    """Count how often the true value lies within U (k = 2), for each coefficient, in simulated files."""
+    error, u, _ = counted(context)
+    files = len(error)
+    inside = np.sum(np.abs(error) <= 2.0 * u, axis=0)
+    share = 2.0 * stats.norm.cdf(2.0) - 1.0
+    # u of a noise that is itself estimated is wider, so that up to 97 % is what is meant
+    least = int(stats.binom.ppf(CHANCE / 2.0, files, share))
+    most = int(stats.binom.isf(CHANCE / 2.0, files, 0.97))
+    for name, count in zip(COEFFICIENTS, inside.tolist(), strict=True):
+        words = f"{count} of {files}"
+        wanted = f"{least} to {most} of {files} (95.45 %)"
+        yield Finding(least <= count <= most, words, of=name, expected=wanted)
+
+
+@statistic("size of the errors", "7.6", "", p_false=2 * CHANCE,
+       source="chi-square distribution")  # fmt: skip
+def size_of_errors(context: Context) -> Iterator[Finding]:
+    """Test whether the mean square of error divided by u is one, over the coefficients of simulated files."""
+    error, u, _ = counted(context)
+    # Kxx and Kyy are determined by readings of different channels: independent within a file
+    for name in ("Kxx", "Kyy"):
+        z = error[:, COEFFICIENTS.index(name)] / u[:, COEFFICIENTS.index(name)]
+        low, high = (float(stats.chi2.ppf(q, len(z))) / len(z) for q in (CHANCE / 2.0, 1.0 - CHANCE / 2.0))
+        found = float(np.mean(z**2))
+        yield Finding(
+            0.94 * low <= found <= high, f"{found:.3f}", of=name, expected=f"{0.94 * low:.2f} to {high:.2f}"
+        )
+
+
+@statistic("lack of fit", "7.7.1", "", p_false=CHANCE, source="Kolmogorov-Smirnov test")
+def lack_of_fit(context: Context) -> Finding:
+    """Test whether the lack-of-fit p-value is uniformly distributed if the model is true."""
+    _, _, p = counted(context)
+    test = stats.kstest(p, "uniform")
+    return Finding(
+        bool(test.pvalue > CHANCE), f"p = {test.pvalue:.3g} of {len(p)} files", expected=f"p > {CHANCE:g}"
+    )  # fmt: skip

@@ -123,7 +123,7 @@ class Check:
 TABLE: Final[list[Check]] = []
 """All checks, in the order in which their modules were imported."""
 
-MODULES: Final = ("reference", "gum", "statistics", "instruments", "records", "outputs", "machine")
+MODULES: Final = ("reference", "gum", "instruments", "records", "machine")
 """The modules that define checks, in the order of the page."""
 
 

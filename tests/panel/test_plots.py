@@ -10,7 +10,7 @@ import openpyxl
 import pytest
 
 from bench.panel.folder import RunsFolder
-from bench.panel.plots import plots_of
+from bench.panel.pages.verdict import plots_of
 from bench.run.folder import Run
 from bench.services.calibration import calibration_of
 from bench.services.source import Request, load_sources

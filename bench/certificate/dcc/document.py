@@ -52,7 +52,7 @@ from bench.certificate.dcc.nodes import (
 )
 from bench.certificate.laboratory import Contact, Laboratory, Order, Texts, UnitOrder, in_each
 from bench.readings.table import Readings
-from bench.results.intrinsic import joint_of
+from bench.results.parts import joint_of
 
 _XSI: Final = "http://www.w3.org/2001/XMLSchema-instance"
 _PLACE: Final = f"{NAMESPACES['dcc']} {NAMESPACES['dcc']}/v{VERSION}/dcc.xsd"
