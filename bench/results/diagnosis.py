@@ -38,7 +38,7 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
-from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
+from bench.results.parts import BenchPart, Corrections, by_channel
 
 
 class OrientationPart(ResultModel):
@@ -224,13 +224,14 @@ def found_result(found: Diagnosis) -> FoundResult:
     )
 
 
-def diagnose_result(
-    full: FullDiagnosis,
-    files: Files,
-    bench: BenchPart | None,
-    corrections: Sequence[CorrectionPart],
-) -> DiagnoseResult:
-    """Return the result of a diagnosis; `files` are the files that were written."""
+def result_of(full: FullDiagnosis | MistakesAlone, files: Files, **made_from: Any) -> DiagnoseResult:
+    """Return the result of a diagnosis; `files` are the files that were written.
+
+    `made_from` has bench and corrections; what else it has, the diagnosis states itself.
+    """
+    of_source = {name: made_from[name] for name in ("bench", "corrections")}
+    if isinstance(full, MistakesAlone):
+        return _of_mistakes(full, files, of_source)
     diagnosis, shown, mistakes = full.diagnosis, full.shown, full.diagnosis.mistakes
     blocks = [_block_part(one) for one in full.blocks]
     return DiagnoseResult(
@@ -247,22 +248,16 @@ def diagnose_result(
         coefficients=shown.coefficients,
         ranking=[[_rival_part(rival) for rival in one] for one in full.ranking],
         report=files.report,
-        bench=bench,
-        corrections=list(corrections),
         corrected=_copy_part(files, mistakes.mistakes, len(mistakes.corrected), diagnosis.of_copy)
         if mistakes.mistakes
         else None,
+        **of_source,
         **({"blocks": blocks} if blocks else {}),
         **({"residuals": compared_residuals(shown)} if len(shown.before.calibration.fitted) else {}),
     )
 
 
-def mistakes_result(
-    found: MistakesAlone,
-    files: Files,
-    bench: BenchPart | None,
-    corrections: Sequence[CorrectionPart],
-) -> DiagnoseResult:
+def _of_mistakes(found: MistakesAlone, files: Files, of_source: dict[str, Any]) -> DiagnoseResult:
     """Return the result of a diagnosis that found only mistakes: the other readings are too few to fit."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("next_measurement", "verification_orientation", "gap", "model", "noise", "p_left")),
@@ -275,9 +270,8 @@ def mistakes_result(
         verdict="mistake",
         effects=[mistake_part(mistake) for mistake in found.mistakes],
         notes=[f"in the corrected copy {found.reason}"],
-        bench=bench,
-        corrections=list(corrections),
         corrected=_copy_part(files, found.mistakes, len(found.corrected), None),
+        **of_source,
         **nothing,
     )
 
@@ -326,8 +320,11 @@ LISTED_SHIFT: Final = 0.5
 """Smallest change of a coefficient, in units of its u, that is printed."""
 
 
-def print_one(full: FullDiagnosis, files: Files, out: Console) -> None:
+def print_found(full: FullDiagnosis | MistakesAlone, files: Files, out: Console) -> None:
     """Print one diagnosis, in the order of its steps."""
+    if isinstance(full, MistakesAlone):
+        _print_mistakes(full, files, out)
+        return
     diagnosis, shown = full.diagnosis, full.shown
     _notes(full, "", out)
     _mistakes(diagnosis, out)
@@ -388,7 +385,7 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
         out.print(f"  {typeset(words.place_in_words(place))}")
 
 
-def print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
+def _print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
     """Print the mistakes of a diagnosis that could go no further, and what must be measured again."""
     for mistake in found.mistakes:
         out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")

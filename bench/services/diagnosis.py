@@ -38,8 +38,8 @@ from bench.model import CATALOGUE, AppliedEffect
 from bench.readings.corrected import as_read
 from bench.readings.csv import format_csv
 from bench.readings.table import Readings, all_free, is_record
-from bench.results import diagnosis as text
 from bench.results import diagnosis_words as words
+from bench.results.diagnosis import print_several
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.run.events import writing
 from bench.services.bench_selection import SUFFIX
@@ -59,7 +59,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class BodyResult(ABC):
-    """The result of diagnosing a body: findings, files written, and notes on files that could not be written."""
+    """The result of diagnosing a body: findings, files written, and notes on files that could not be written.
+
+    The module `view` makes its JSON and its text.
+    """
+
+    view: ClassVar[str] = "bench.results.diagnosis"
 
     body: Body
     found: FullDiagnosis | MistakesAlone | FreeDiagnosis | RecordDiagnosis
@@ -86,13 +91,32 @@ class BodyResult(ABC):
         """The measurement that is proposed next; None if none is proposed."""
         return None
 
-    @abstractmethod
+    @property
+    def _view(self) -> Any:
+        return import_module(self.view)  # takes long to import
+
+    @property
+    def _simulated(self) -> bool:
+        return any(source.simulated for source in self.body.sources)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as `bench diagnose --json` writes it, with the files that were written."""
+        sources = self.body.sources
+        with knowing_effects_of(*sources):
+            made: ResultModel = self._view.result_of(
+                self.found,
+                self.files,
+                bench=self.source.taken.part(),
+                corrections=[part for source in sources for part in source.traced.parts()],
+                simulated=self._simulated,
+                skipped_rows=[row for source in sources for row in source.readings.skipped],
+            )
+            return made.to_dict()
 
-    @abstractmethod
     def print_on(self, out: Console) -> None:
-        """Print the diagnosis in the order in which it was made."""
+        """Print the diagnosis in the order in which it was made, the verdict last."""
+        with knowing_effects_of(self.source):
+            self._view.print_found(self.found, self.files, out)
 
     @abstractmethod
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
@@ -194,17 +218,6 @@ class MistakesResult(BodyResult):
 
     found: MistakesAlone
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it."""
-        source = self.source
-        return text.mistakes_result(
-            self.found, self.files, source.taken.part(), source.traced.parts()
-        ).to_dict()
-
-    def print_on(self, out: Console) -> None:
-        """Print the mistakes, and which coefficients the other readings do not determine."""
-        text.print_mistakes(self.found, self.files, out)
-
     def written(self, *, accept_first: bool = False, report: bool = True) -> Self:
         """Write the copy in which the mistakes are corrected; this result has neither model nor page."""
         return self.with_copy(self.found.mistakes, self.found.corrected)
@@ -236,14 +249,6 @@ class DiagnosisResult(ResultWithPage):
         """The measurement that is proposed next; None if none is proposed."""
         return self.found.next_measurement
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it."""
-        source = self.source
-        with knowing_effects_of(source):
-            return text.diagnose_result(
-                self.found, self.files, source.taken.part(), source.traced.parts()
-            ).to_dict()
-
     def html(self) -> str:
         """Return the HTML page."""
         from bench.results.diagnosis_page import render_diagnosis
@@ -255,11 +260,6 @@ class DiagnosisResult(ResultWithPage):
         )
         with knowing_effects_of(source):
             return render_diagnosis(self.found, self.files, title, limit_g, provenance(source))
-
-    def print_on(self, out: Console) -> None:
-        """Print the diagnosis in the order in which it was made."""
-        with knowing_effects_of(self.source):
-            text.print_one(self.found, self.files, out)
 
     def model_is_due(self, *, accept_first: bool = False) -> bool:
         """Return whether a model can be written; `accept_first` permits one for the verdict "confounded"."""
@@ -326,14 +326,9 @@ class DiagnosisResult(ResultWithPage):
 
 @dataclass(frozen=True, repr=False)
 class DiagnosisAlone(ResultWithPage):
-    """A diagnosis of free positions alone, or of a record; module `view` makes its text, JSON and page."""
+    """A diagnosis of free positions alone, or of a record; module `view` makes its page, too."""
 
     found: FreeDiagnosis | RecordDiagnosis
-    view: ClassVar[str]
-
-    @property
-    def _view(self) -> Any:
-        return import_module(self.view)  # takes long to import
 
     @property
     def verdict(self) -> str:
@@ -346,24 +341,6 @@ class DiagnosisAlone(ResultWithPage):
             return []
         return [(*self.source.model.effects, *added) for added in self.found.models]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return the result as `bench diagnose --json` writes it."""
-        sources = self.body.sources
-        with knowing_effects_of(*sources):
-            made: ResultModel = self._view.result_of(
-                self.found,
-                self.files,
-                bench=self.source.taken.part(),
-                corrections=[part for source in sources for part in source.traced.parts()],
-                simulated=self._simulated,
-                skipped_rows=[row for source in sources for row in source.readings.skipped],
-            )
-            return made.to_dict()
-
-    @property
-    def _simulated(self) -> bool:
-        return any(source.simulated for source in self.body.sources)
-
     def html(self) -> str:
         """Return the HTML page."""
         title = message(f"Diagnosis of {self.source.block_name or words.readings_named(self.found.source)}")
@@ -371,11 +348,6 @@ class DiagnosisAlone(ResultWithPage):
         with knowing_effects_of(self.source):
             page: str = self._view.render(self.found, self.files, title, told, simulated=self._simulated)
             return page
-
-    def print_on(self, out: Console) -> None:
-        """Print the diagnosis, the verdict last."""
-        with knowing_effects_of(self.source):
-            self._view.print_found(self.found, self.files, out)
 
     def write_models(self, path: str | Path, *, accept_first: bool = False) -> tuple[Path, ...]:
         """Write one model file or, if sensors differ, one for each sensor (`…-sensor-1`, …); return the paths.
@@ -467,7 +439,7 @@ def print_diagnosed(results: Sequence[Diagnosed | Failed], out: Console) -> None
     listed = [one for one in results if isinstance(one, DiagnosisResult)] if len(results) > 1 else []
     if listed:
         with knowing_effects_of(*(one.source for one in listed)):
-            text.print_several([(one.found, one.files) for one in listed], out)
+            print_several([(one.found, one.files) for one in listed], out)
     for one in done(results):
         if one not in listed:
             one.print_on(out)
