@@ -240,7 +240,7 @@ class SimulatedBench:
         Raises `ValueError` if the instrument is unknown or cannot have the fault, or if no instrument can.
         """
         if not fault.instrument:
-            able = [name for name, faulty in self.faulty.items() if faulty.can_have(fault)]
+            able = [name for name, faulty in self.faulty.items() if faulty.can_have(fault.kind)]
             able = [name for name in able if not self._is_of_another_wire(name, fault)]
             if not able:
                 raise ValueError(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Final
 
 from drivers.clock import Clock, SystemClock
 from sim.wires.session import DROP, SILENCE, LineEnds, WireFault, line_ends_of
@@ -19,7 +19,6 @@ from sim.world.chance import keyed_generator
 if TYPE_CHECKING:
     import numpy as np
 
-    from sim.voltmeters import MeasuringCycle
     from sim.wires.session import Dialect
 
 
@@ -58,53 +57,13 @@ _KEYS: Final = ("fault", "probability", "at", "matching", "seconds", "error", "i
 _DATA_OUT_OF_RANGE: Final = -222
 
 
-@runtime_checkable
-class Switchable(Protocol):
-    """An instrument that can be switched off and on."""
-
-    def power_cycle(self) -> None:
-        """Switch off and on."""
-
-
-@runtime_checkable
-class HasLocalKey(Protocol):
-    """An instrument with a LOCAL key on its front panel."""
-
-    def press_local(self) -> None:
-        """Press the LOCAL key."""
-
-
-@runtime_checkable
-class HasErrorQueue(Protocol):
-    """An instrument with an error queue."""
-
-    def report(self, number: int) -> None:
-        """Put an error into the queue."""
-
-
-@runtime_checkable
-class HasInput(Protocol):
-    """An instrument that samples a signal; while `overloaded` is set, the signal is beyond every range."""
-
-    overloaded: bool
-
-
-@runtime_checkable
-class HasCycle(Protocol):
-    """An instrument whose measurements take time."""
-
-    @property
-    def cycle(self) -> MeasuringCycle:
-        """The measuring cycle of the instrument."""
-
-
-_NEEDS: Final[dict[FaultKind, tuple[type, str]]] = {
-    FaultKind.POWER_CYCLE: (Switchable, "cannot be switched off and on"),
-    FaultKind.LOCAL: (HasLocalKey, "has no LOCAL key"),
-    FaultKind.ERROR: (HasErrorQueue, "has no error queue"),
-    FaultKind.OVERLOAD: (HasInput, "has no input to overload"),
+_NEEDS: Final = {
+    FaultKind.POWER_CYCLE: ("power_cycle", "cannot be switched off and on"),
+    FaultKind.LOCAL: ("press_local", "has no LOCAL key"),
+    FaultKind.ERROR: ("report", "has no error queue"),
+    FaultKind.OVERLOAD: ("overloaded", "has no input to overload"),
 }
-
+"""The member of an instrument that a fault needs, and what to say of an instrument without it."""
 
 OF_INSTRUMENT: Final = frozenset({*_NEEDS, FaultKind.HANG})
 """The faults of the instrument itself; all others are faults of its wire."""
@@ -245,8 +204,7 @@ class FaultyInstrument:
     def __init__(
         self, dialect: Dialect, name: str, seed: int, faults: Sequence[Fault] = (), clock: Clock | None = None
     ) -> None:
-        self.dialect = dialect
-        self._measures = dialect if isinstance(dialect, HasCycle) else None
+        self.dialect: Any = dialect
         self.name = name
         self._seed = seed
         self._clock = clock or SystemClock()
@@ -267,14 +225,17 @@ class FaultyInstrument:
         """The line ends of the instrument."""
         return line_ends_of(self.dialect)
 
-    def can_have(self, fault: Fault) -> bool:
-        """Whether the instrument has the feature that the fault needs, such as a LOCAL key."""
-        return isinstance(self.dialect, _NEEDS.get(fault.kind, (object, ""))[0])
+    def can_have(self, kind: FaultKind) -> bool:
+        """Whether the instrument has the feature that a fault of this kind needs, such as a LOCAL key."""
+        return kind not in _NEEDS or hasattr(self.dialect, _NEEDS[kind][0])
+
+    def _require(self, kind: FaultKind) -> None:
+        if not self.can_have(kind):
+            raise ValueError(f"{self.name} {_NEEDS[kind][1]}")
 
     def add(self, fault: Fault) -> None:
         """Arm a fault and start its count. Raises `ValueError` if this instrument cannot have it."""
-        if not self.can_have(fault):
-            raise ValueError(f"{self.name} {_NEEDS[fault.kind][1]}")
+        self._require(fault.kind)
         self._armed.append(_Armed(fault, keyed_generator(self._seed, "fault", self.name, self._added)))
         self._added += 1
 
@@ -299,22 +260,24 @@ class FaultyInstrument:
         self._hangs_now = self._hung_until_s is not None and self._clock.now_s() < self._hung_until_s
         if self._hangs_now:
             return None
-        if FaultKind.LOCAL in struck and isinstance(self.dialect, HasLocalKey):
+        if FaultKind.LOCAL in struck:
             self.dialect.press_local()
-        if (error := struck.get(FaultKind.ERROR)) and isinstance(self.dialect, HasErrorQueue):
+        if error := struck.get(FaultKind.ERROR):
             self.dialect.report(error.error)
-        if FaultKind.OVERLOAD not in struck or not isinstance(self.dialect, HasInput):
-            return self.dialect.handle(message, interrupted)
-        self.dialect.overloaded = True
+        overloaded = FaultKind.OVERLOAD in struck
+        if overloaded:
+            self.dialect.overloaded = True
         try:
-            return self.dialect.handle(message, interrupted)
+            reply: bytes | None = self.dialect.handle(message, interrupted)
+            return reply
         finally:
-            self.dialect.overloaded = False
+            if overloaded:
+                self.dialect.overloaded = False
 
     def sent_by(self, left: Callable[[], bool]) -> None:
         """Pass `left`, which returns whether the client has disconnected, to an instrument that measures."""
-        if self._measures is not None:
-            self._measures.cycle.sent_by(left)
+        if hasattr(self.dialect, "cycle"):
+            self.dialect.cycle.sent_by(left)
 
     def device_clear(self) -> None:
         """Abort the command in progress and end a hang."""
@@ -328,14 +291,12 @@ class FaultyInstrument:
     def power_cycle(self) -> None:
         """Switch the instrument off and on, which ends a hang. Raises `ValueError` if it has no power switch."""
         self._hung_until_s = None
-        if not isinstance(self.dialect, Switchable):
-            raise ValueError(f"{self.name} {_NEEDS[FaultKind.POWER_CYCLE][1]}")
+        self._require(FaultKind.POWER_CYCLE)
         self.dialect.power_cycle()
 
     def press_local(self) -> None:
         """Press the LOCAL key. Raises `ValueError` if there is none."""
-        if not isinstance(self.dialect, HasLocalKey):
-            raise ValueError(f"{self.name} {_NEEDS[FaultKind.LOCAL][1]}")
+        self._require(FaultKind.LOCAL)
         self.dialect.press_local()
 
     # --- as a fault hook ----------------------------------------------------------------------------

@@ -198,9 +198,7 @@ class WatchedWire:
     def can_have(self, kind: FaultKind) -> bool:
         """Whether this instrument can have faults of a kind."""
         of_wire = kind not in OF_INSTRUMENT
-        return (self._has_wire or not of_wire) and self._faulty.can_have(
-            Fault(kind, at=1, seconds=0.1 if kind is FaultKind.LATE else 0.0)
-        )
+        return (self._has_wire or not of_wire) and self._faulty.can_have(kind)
 
     def _count(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
         self.exchanges += 1
