@@ -9,7 +9,7 @@ from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
-from typing import TYPE_CHECKING, Final, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Final, Protocol
 
 from drivers.clock import Clock, SystemClock
 
@@ -30,16 +30,6 @@ class Doing(Enum):
     WAITING = "waiting for time to pass, or for another client"
 
 
-class Busy(Protocol):
-    """A session as `Traffic` sees it: `Traffic.mark` sets `doing`, and input arrives at `source`."""
-
-    doing: Doing
-    source: int | socket.socket
-
-    def has_work(self) -> bool:
-        """Return whether the session is working or has unread input."""
-
-
 class Traffic:
     """A register of what each session of a bench does; a virtual clock advances only if none has work.
 
@@ -47,7 +37,7 @@ class Traffic:
     """
 
     def __init__(self) -> None:
-        self._sessions: set[Busy] = set()
+        self._sessions: set[Session] = set()
         self._changed = threading.Condition()
         self._current = threading.local()
 
@@ -57,7 +47,7 @@ class Traffic:
         The wait ends after a few seconds in any case, so that a client that never reads its replies cannot stop
         the bench.
         """
-        own: Busy | None = getattr(self._current, "session", None)
+        own: Session | None = getattr(self._current, "session", None)
         if own is None:
             self._wait_for_others(None)
             return
@@ -67,14 +57,14 @@ class Traffic:
         finally:
             self.mark(own, Doing.WORKING)
 
-    def _wait_for_others(self, own: Busy | None) -> None:
+    def _wait_for_others(self, own: Session | None) -> None:
         for _ in range(_SETTLE_LOOKS):
             with self._changed:
                 if not self._others_work(own):
                     return
                 self._changed.wait(_SETTLE_LOOK_S)
 
-    def _others_work(self, own: Busy | None) -> bool:
+    def _others_work(self, own: Session | None) -> bool:
         others = [session for session in self._sessions if session is not own]
         with suppress(OSError, ValueError):  # a wire is closed, or there is none
             # nearly always nothing is there, which one look at all wires shows
@@ -82,19 +72,19 @@ class Traffic:
                 return any(session.doing is Doing.WORKING for session in others)
         return any(session.has_work() for session in others)
 
-    def enter(self, session: Busy) -> None:
+    def enter(self, session: Session) -> None:
         """Register a session, which runs in the calling thread."""
         self._current.session = session
         with self._changed:
             self._sessions.add(session)
 
-    def leave(self, session: Busy) -> None:
+    def leave(self, session: Session) -> None:
         """Remove a session that has ended."""
         with self._changed:
             self._sessions.discard(session)
             self._changed.notify_all()
 
-    def mark(self, session: Busy, doing: Doing) -> None:
+    def mark(self, session: Session, doing: Doing) -> None:
         """Set the activity of a session from now on."""
         session.doing = doing
         if doing is not Doing.WORKING:
@@ -136,7 +126,9 @@ class LineEnds:
 class Dialect(Protocol):
     """An instrument as the wire sees it: messages in, replies out, both without terminators.
 
-    An instrument with line ends other than LF also implements `HasLineEnds`.
+    One with line ends other than LF also has `line_ends`. One whose commands may run for hours has
+    `sent_by(left)`, which stores whether the client of the next message has disconnected: such a command is
+    aborted, even if another client already waits for its end.
     """
 
     def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
@@ -162,29 +154,10 @@ class PlainDialect:
         """Ignore a line that was too long."""
 
 
-@runtime_checkable
-class Forsakable(Protocol):
-    """A dialect whose commands may run for hours, and must stop when their client disconnects."""
-
-    def sent_by(self, left: Callable[[], bool]) -> None:
-        """Store `left`, which returns whether the client of the next message has disconnected.
-
-        A command whose client has disconnected is aborted, even if another client already waits for its end.
-        """
-
-
-@runtime_checkable
-class HasLineEnds(Protocol):
-    """A dialect that defines its line ends, whatever the wire."""
-
-    @property
-    def line_ends(self) -> LineEnds:
-        """The line ends of the dialect."""
-
-
 def line_ends_of(dialect: Dialect) -> LineEnds:
     """Return the line ends of a dialect; the default is LF for messages and the wire's terminator for replies."""
-    return dialect.line_ends if isinstance(dialect, HasLineEnds) else LineEnds()
+    ends: LineEnds = getattr(dialect, "line_ends", LineEnds())
+    return ends
 
 
 class Transport(Protocol):
@@ -319,7 +292,7 @@ class ServedInstrument:
         self.dialect = dialect
         self.traffic = traffic or Traffic()
         self.fault = fault
-        self._forsakable = dialect if isinstance(dialect, Forsakable) else None
+        self._sent_by: Callable[[Callable[[], bool]], None] | None = getattr(dialect, "sent_by", None)
         self._lock = threading.Lock()
         self._clearing: set[Session] = set()
 
@@ -332,8 +305,8 @@ class ServedInstrument:
             return bool(self._clearing) or interrupted()
 
         with self._held(session):
-            if self._forsakable is not None:
-                self._forsakable.sent_by(session.has_left)
+            if self._sent_by is not None:
+                self._sent_by(session.has_left)
             reply = self.dialect.handle(message, cleared)
             return reply, self.fault(message, reply) if self.fault else None
 
