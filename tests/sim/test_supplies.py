@@ -6,8 +6,7 @@ import pytest
 from bench.model import Block, ForwardModel
 from bench.model.geometry import INSTALLATION_1
 from sim.aim_tti import AimTti
-from sim.keysight_e3631a import KeysightE3631A
-from sim.keysight_e36300 import KeysightE36300
+from sim.supply import KeysightE3631A, KeysightE36300
 from sim.world.clock import VirtualClock
 from sim.world.power import Disturbance, PowerSettings, Rail
 from sim.world.world import World, WorldSettings
