@@ -15,8 +15,11 @@ from bench.base.text import as_typed
 from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
 from bench.panel.folder import RunsFolder, read_page
+from bench.results.parts import small_unit
 from bench.run.events import RecordError
 from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, RESULTS, VERIFY_FILE, Run, statement_in
+from bench.services.errors import Refused
+from bench.services.requests.evaluation import Compare
 
 REPORT: Final = "report.html"
 DIAGNOSIS: Final = "diagnose.html"
@@ -412,9 +415,7 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
     if previous is None:
         return None
     from bench.results.compare import compare_result  # the analyses take long to import
-    from bench.services.errors import Refused
     from bench.services.history import compared
-    from bench.services.requests.evaluation import Compare
 
     try:
         files = tuple(str(one.folder / CALIBRATE_FILE) for one in (previous, run))
@@ -439,8 +440,6 @@ def _change(run: Run, runs: RunsFolder) -> Change | None:
 
 
 def _row(name: str, difference: float, expanded: float, unit: str) -> str:
-    from bench.results.parts import small_unit
-
     size, shown = small_unit(name, abs(difference), unit)
     sizes = rounded(difference / size, expanded / size, sign=True), uncertainty(expanded / size)
     return f"{name}: {sizes[0]} ± {sizes[1]} {shown}"

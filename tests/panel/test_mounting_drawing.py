@@ -166,7 +166,7 @@ def test_what_pages_import_late_is_loaded_while_the_panel_begins_to_serve():
     package = Path(bench.panel.__file__).parent
     late = {
         inner.module
-        for file in (*(package / "pages").glob("*.py"), package / "results.py", package / "plots.py")
+        for file in (*(package / "pages").glob("*.py"), package / "results.py")
         for outer in ast.walk(ast.parse(file.read_text("utf-8")))
         if isinstance(outer, ast.FunctionDef | ast.AsyncFunctionDef)
         for inner in ast.walk(outer)
