@@ -66,7 +66,7 @@ from bench.services.fitness import agree_to_expired, is_away, refuse_unfit, with
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
-from bench.services.requests.shared import name_to_type, runs_folder
+from bench.services.requests.shared import devices_to_type, name_to_type, resume_to_type, runs_folder
 from bench.services.traceability import remarks
 from bench.services.validated import refuse_unvalidated_resumption
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
@@ -480,7 +480,7 @@ def _refuse_renamed(record: Record) -> None:
     if place == record.folder:
         return
     now = message(f"it is {place} now") if place else message("it is no longer beside the other runs")
-    again = as_typed(place or "FOLDER")
+    again = as_typed(place or "FOLDER") + devices_to_type()
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"
@@ -501,7 +501,7 @@ def _recorded(record: Record) -> str:
 
 def _kept(record: Record) -> str:
     place = record.whereabouts() or record.folder
-    resume = message(f"resume with 'bench resume {name_to_type(place)}'")
+    resume = message(f"resume with 'bench resume {resume_to_type(place)}'")
     return f"{_recorded(record)}; {resume}"
 
 
