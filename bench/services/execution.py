@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any, Final
 from rich.console import Console
 
 from bench.base.computing import quiet, versions
-from bench.base.files import read_regular, to_text, write_whole
+from bench.base.files import read_regular
 from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
@@ -40,7 +40,6 @@ from bench.run.folder import (
     MODEL,
     PLAN,
     PROCEDURE,
-    RESULTS,
     Digests,
     Run,
     all_runs,
@@ -229,7 +228,7 @@ def started(
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
     announce(new)
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, ExitStack() as results:
         with (
             logged_wire(request.wire_log) as wire,
             WishListener(ControlFile(new.folder)) as wishes,
@@ -239,7 +238,7 @@ def started(
             asker = asker_of(run, record, None, out, who)
             with _to_be_resumed(record):
                 agree_to_expired(run, record, asker)
-            carry_out(run, record, out, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
+            carry_out(run, record, out, results, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
         yield Run(new.folder), interrupts
 
 
@@ -257,7 +256,7 @@ def resumed(
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, ExitStack() as results:
         record, history = taken_up(run, interrupts.shield, results_too=True)
         with (
             closing(record),
@@ -279,6 +278,7 @@ def resumed(
                     run,
                     record,
                     out,
+                    results,
                     history=history,
                     wire=wire,
                     interrupts=interrupts,
@@ -286,6 +286,8 @@ def resumed(
                     asker=asker,
                     resumed_by=by,
                 )
+            else:
+                run.results_due(results)
         yield Run(run.folder), interrupts
 
 
@@ -316,6 +318,7 @@ def carry_out(
     run: Run,
     record: Record,
     out: Console,
+    results: ExitStack | None = None,
     *,
     history: History | None = None,
     wire: WireLog | None = None,
@@ -326,12 +329,12 @@ def carry_out(
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests
-    (pause, skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is the person who
-    resumed it.
+    Until `results` closes, the results of the run are shown as due. A resumed run has a `history`. `interrupts`
+    handles signals during the run, `wishes` reads the requests (pause, skip, …) left in its folder, `asker` puts
+    questions to a person. `resumed_by` is the person who resumed it.
     """
     signals = interrupts or Interrupts()
-    write_whole(run.folder / RESULTS, to_text({"made": None}))
+    run.results_due(results)
     wishes = wishes or WishListener(ControlFile(run.folder))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
@@ -500,9 +503,11 @@ def _recorded(record: Record) -> str:
 
 
 def _kept(record: Record) -> str:
-    place = record.whereabouts() or record.folder
+    place, kept = record.whereabouts(), _recorded(record)
+    if place is None:
+        return kept
     resume = message(f"resume with 'bench resume {resume_to_type(place)}'")
-    return f"{_recorded(record)}; {resume}"
+    return f"{kept}; {resume}"
 
 
 # --- runs that another program has left -------------------------------------------------------------
