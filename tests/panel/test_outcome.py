@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from collections import deque
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -125,6 +126,14 @@ def test_results_that_are_being_computed_are_waited_for(judged):
     with locked(judged / RESULTS):
         assert outcome(judged, age_s=1e4).state == "waiting"
     assert outcome(judged, age_s=LONGEST_RESULTS_S).state == "none"
+
+
+def test_an_old_snapshot_does_not_keep_a_page_waiting_for_results(judged, anna, monkeypatch):
+    (judged / "calibrate.json").unlink()
+    ended = datetime.fromisoformat(Run(judged).history.events.last.time)
+    monkeypatch.setattr("bench.panel.stream.utc_now", lambda: ended + timedelta(seconds=1))
+    monkeypatch.setattr("bench.panel.pages.run.utc_now", lambda: ended + timedelta(hours=1), raising=False)
+    assert 'data-outcome="none"' in anna.get("/runs/run/outcome").text
 
 
 @pytest.mark.slow
