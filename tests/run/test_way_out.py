@@ -239,16 +239,18 @@ def test_a_run_resumed_at_a_temperature_lets_the_block_soak_again(tmp_path, monk
 
 
 def test_a_block_mounted_again_at_a_temperature_soaks_again(tmp_path):
+    bench = Bench()
+
     class MountedAgain(Wishing):
         def poll(self):
-            return super().poll() if "r13" in recorded(tmp_path / "run")[1] else None
+            is_read = ("move", "t13") in bench.done and bench.done[-1][0] == "fetch"
+            return super().poll() if is_read else None
 
     steps = [*make_plan().steps]
     turn = next(i for i, step in enumerate(steps) if step.key == "t13")
     steps[turn:turn] = [SetTemperature("1/temperature", 40.0), Wait("1/wait", 7200.0, "soak")]
     plan = Plan("test", tuple(steps), "")
     with closing(new_record(tmp_path)) as record:
-        bench = Bench()
         wish = MountedAgain(RunControl(Wish.MOUNT_AGAIN))
         with_chamber(make_runner(bench, record, plan, controls=wish), Chamber(bench)).run()
     keys = [e.data["key"] for e in recorded(tmp_path / "run")[0].events if e.type == "step_done"]
