@@ -100,6 +100,15 @@ class Identity:
     def __str__(self) -> str:
         return " ".join(part for part in (self.maker, self.model, self.serial, self.firmware) if part)
 
+    def refuse_other(self, name: str, now: Identity) -> None:
+        """Raise `InstrumentRefused` if the instrument called `name` reports another identity `now`."""
+        if now != self:
+            raise InstrumentRefused(
+                name,
+                f"was {self} and is now {now}",
+                "connect the first one again; if that is impossible, stop the run and resume it with the other",
+            )
+
 
 class Instrument(Protocol):
     """An instrument on the bench: `open` connects and identifies it, `close` leaves it safe."""

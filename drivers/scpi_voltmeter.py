@@ -117,6 +117,7 @@ class ScpiVoltmeter(ABC):
         self._line_hz = line_hz
         self._settings: VoltmeterSettings | None = None
         self._connection: int | None = None  # the connection over which the settings were proved
+        self._identity: Identity | None = None  # as the first `open` found it
         self._identified: int | None = None  # the connection of the last proved identity, None before `open`
         self._started = False
         self._spoke_s = -math.inf
@@ -156,7 +157,8 @@ class ScpiVoltmeter(ABC):
     def open(self) -> Identity:
         """Connect, verify and return the identity, and clear the error queue.
 
-        Raises `InstrumentLost`, `BadReading`, and `InstrumentRefused` for another instrument.
+        Raises `InstrumentLost`, `BadReading`, and `InstrumentRefused` for another instrument, also for another one
+        of its kind than at the first call: its gain and offset are others.
         """
         self._identified = _NONE
         self._connection = None
@@ -167,6 +169,9 @@ class ScpiVoltmeter(ABC):
         maker, model, serial, firmware = (field.strip() for field in reply.split(","))
         identity = Identity(maker, model, "" if serial == "0" else serial, firmware)
         self._accept(identity, reply)
+        if self._identity is not None:
+            self._identity.refuse_other(self.name, identity)
+        self._identity = identity
         self._session.write("*CLS")
         self._identified = self._session.connection
         return identity

@@ -158,6 +158,7 @@ def _follow(run: Run, request: RunRequest) -> int:
     On real instruments, a person must agree first. Returns the exit status of the second run; 0 if there was none.
     """
     from bench.run.folder import Run as RunFolder
+    from bench.services.conclusion import run_again
 
     out = printing.console()
     proposal = _diagnosed([run])
@@ -167,7 +168,7 @@ def _follow(run: Run, request: RunRequest) -> int:
     if not run.simulated and not _agreed(proposal, out):
         out.print(
             message(
-                f"{run.name}: not continued; measure it later with: bench run {as_typed(proposal.procedure)}"
+                f"{run.name}: not continued; measure it later with: {run_again(run, as_typed(proposal.procedure))}"
             )
         )
         return 0

@@ -6,7 +6,6 @@ import inspect
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import is_dataclass
 from functools import partial, wraps
 from pathlib import Path
@@ -18,12 +17,9 @@ from bench.base.languages import LANGUAGES, known_language, speak
 from bench.base.requests import NOT_GIVEN, RequestField, fields_of
 from bench.cli import completing
 from bench.cli.commands import COMMANDS, KNOWN, MORE, BenchCommand, CommandGroup, Commands
-from bench.config.devices import FOLDERS
+from bench.config.devices import FOLDERS, devices_given
 from bench.services.errors import Refused
 from bench.services.requests import shared
-
-devices_given: ContextVar[tuple[str, ...]] = ContextVar("devices_given", default=())
-"""The folders that `--devices` names, as they were typed."""
 
 
 def _own_parts(command: str, takes: set[str]) -> Iterator[inspect.Parameter]:

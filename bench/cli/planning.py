@@ -10,9 +10,10 @@ import typer
 
 from bench.base.text import as_typed
 from bench.cli import printing
-from bench.cli.options import JsonOption, OutOption, command, devices_given
+from bench.cli.options import JsonOption, OutOption, command
 from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import Budget, Check, Init, PlanPoints, Require
+from bench.services.requests.shared import devices_to_type
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -77,9 +78,8 @@ def _morning(request: Check, json: str | None) -> int:
 
 def _offer_dry_run(found: Findings, request: Check) -> None:
     if found.can_be_tried:
-        typed = [f"--bench {as_typed(request.bench)}"] if request.bench else []
-        typed += [f"--devices {as_typed(folder)}" for folder in devices_given.get()]
-        words = " ".join(["bench run", as_typed(request.procedure), *typed, "--dry-run"])
+        bench = f" --bench {as_typed(request.bench)}" if request.bench else ""
+        words = f"bench run {as_typed(request.procedure)}{bench}{devices_to_type()} --dry-run"
         printing.console().print(f"no mistakes found; try it with: {words}")
 
 

@@ -18,6 +18,7 @@ from bench.panel.folder import RunsFolder, read_page
 from bench.results.parts import small_unit
 from bench.run.events import RecordError
 from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, RESULTS, VERIFY_FILE, Run, statement_in
+from bench.run.record import HAS_LOCKS, is_locked
 from bench.services.errors import Refused
 from bench.services.requests.evaluation import Compare
 
@@ -316,8 +317,11 @@ def figure_of(run: Run, name: str) -> bytes:
 # --- the end of a run on its live page -------------------------------------------------------------------
 
 
-LONGEST_RESULTS_S: Final = 120.0
-"""Time (s) after the end of a run within which its program computes the results."""
+LONGEST_RESULTS_S: Final = 2.0 if HAS_LOCKS else 120.0
+"""Time (s) after the end of a run within which results are due; later, only a lock on their list shows it.
+
+Without file locks (Windows), it is the time within which a program computes the results.
+"""
 MOST_CHANGES: Final = 3
 """Number of coefficients that are listed as changed; the comparison command lists all."""
 
@@ -376,13 +380,15 @@ def outcome_of(run: Run, runs: RunsFolder, *, alive: bool, finished: bool, age_s
     """Return the outcome of a run that ended `age_s` seconds ago.
 
     `alive` says whether a program has the record open, `finished` whether the run reached its end. The state
-    is "none" if no program has it open and results are missing 120 s (`LONGEST_RESULTS_S`) after the end.
+    is "none" if results are missing `LONGEST_RESULTS_S` after the end, and no program has the record open or
+    computes them.
     """
     found = results_of(run)
     state = "ready" if found.calibration is not None else "none"
     # coefficients are written before the verdict: they alone are not the end
     if finished and (alive or run.results_missing):
-        state = "waiting" if alive or age_s < LONGEST_RESULTS_S else "none"
+        due = alive or age_s < LONGEST_RESULTS_S or is_locked(run.folder / RESULTS)
+        state = "waiting" if due else "none"
     done = state == "ready"
     return Outcome(
         state=state,

@@ -6,7 +6,7 @@ import json
 import os
 import re
 from collections.abc import Callable, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -14,14 +14,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.base.computing import uncollected
-from bench.base.files import cache_folder, read_json, read_regular, write_whole
+from bench.base.files import cache_folder, read_json, read_regular, to_text, write_whole
 from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, readings_of
 from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
-from bench.run.record import History, read_history, trusted
+from bench.run.record import History, locked, read_history, trusted
 from drivers.clock import utc_now
 
 PLAN = "plan.json"
@@ -117,6 +117,12 @@ class Run:
             return not (self.folder / REPORT).is_file()
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return True
+
+    def results_due(self, until: ExitStack | None = None) -> None:
+        """Note that results are missing; until `until` closes, a lock of this note shows that they will be made."""
+        write_whole(self.folder / RESULTS, to_text({"made": None}))
+        if until is not None:
+            until.enter_context(locked(self.folder / RESULTS))
 
     @property
     def record_head(self) -> dict[str, str | int]:

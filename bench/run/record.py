@@ -11,10 +11,11 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import datetime
 from hashlib import sha256 as digest_of
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO, Final
@@ -435,6 +436,8 @@ class Record:
             self._half_written = False
 
 
+HAS_LOCKS: Final = find_spec("fcntl") is not None
+"""Whether the system has file locks; Windows has none."""
 LOOKS: Final = 10_000
 """Number of attempts at the exclusive lock while other programs hold the shared lock."""
 
@@ -442,13 +445,13 @@ LOOKS: Final = 10_000
 def _lock(descriptor: int) -> bool:
     """Lock the file against a second writer; return False if another writer holds the lock.
 
-    Always return True on systems without file locks (Windows). A shared lock does not indicate a writer: programs
+    Always return True on systems without file locks. A shared lock does not indicate a writer: programs
     hold it briefly to check whether the run is being written.
     """
-    try:
-        import fcntl
-    except ImportError:
+    if not HAS_LOCKS:
         return True
+    import fcntl
+
     for _ in range(LOOKS):
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -477,11 +480,27 @@ def is_being_written(folder: Path) -> bool:
 
     Always False on systems without file locks.
     """
-    try:
-        with open_regular(folder / EVENTS) as file:
-            return not _shared(file.fileno())
-    except (OSError, ImportError):
-        return False
+    return is_locked(folder / EVENTS)
+
+
+def is_locked(path: Path) -> bool:
+    """Return whether a program holds the lock of a file; always False on systems without file locks."""
+    with suppress(OSError):
+        if HAS_LOCKS:
+            with open_regular(path) as file:
+                return not _shared(file.fileno())
+    return False
+
+
+@contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Hold the lock of a file that exists, which may be replaced; a killed program's lock is released."""
+    if not HAS_LOCKS:  # there, an open file cannot be replaced
+        yield
+        return
+    with open_regular(path) as file:
+        _lock(file.fileno())
+        yield
 
 
 def _make_folder(folder: Path, files: dict[str, bytes]) -> None:

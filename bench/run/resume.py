@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, fields, replace
+from itertools import takewhile
 from typing import Any, Final
 
 from bench.base.languages import message
-from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Step, Turn
+from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
 from bench.run.events import Event, EventType, Wish
 from bench.run.person import OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
@@ -174,6 +175,27 @@ def is_still_to_be_read(plan: Plan, progress: PlanProgress, step: int) -> bool:
         return True
     coming = (plan.steps[index] for index in range(step, len(plan.steps)) if not progress.settled(index))
     return isinstance(next((one for one in coming if isinstance(one, Mount | Read)), None), Read)
+
+
+def soak_to_repeat(plan: Plan, progress: PlanProgress, step: int) -> list[int]:
+    """Return the indices of the finished waits after the last setting of the chamber before `step`.
+
+    Meanwhile the chamber was in standby, as a stop leaves it, or open for a mounting. Return [] if no reading
+    remains to be taken at this temperature.
+    """
+    kept = [index for index in range(len(plan.steps)) if index not in progress.left_out]
+    settings = [index for index in kept if isinstance(plan.steps[index], SetTemperature)]
+    last = max((index for index in settings if index < step), default=None)
+    if last is None:
+        return []
+    after = min((index for index in settings if index >= step), default=len(plan.steps))
+    coming = (plan.steps[index] for index in range(step, after) if not progress.settled(index))
+    if progress.doubt is None and not any(isinstance(one, Read) for one in coming):
+        return []
+    waits = takewhile(
+        lambda index: isinstance(plan.steps[index], Wait | Settle), kept[kept.index(last) + 1 :]
+    )
+    return [index for index in waits if index < step and index in progress.done]
 
 
 def latest_turn(plan: Plan, progress: PlanProgress, step: int) -> int:

@@ -46,6 +46,7 @@ from bench.run.resume import (
     is_still_to_be_read,
     pause_prompt,
     redo_from,
+    soak_to_repeat,
 )
 from bench.run.samples import Settling
 from bench.run.workbench import BenchSetup, Workbench
@@ -281,12 +282,18 @@ class Runner:
             self._insist(
                 partial(take_up, *known, self._workbench.do_power, partial(self._emit_remounted, why="power"))
             )
+        self._soak_again(resume.step)
         if resume.turn is not None:
             self._insist(partial(self._step, resume.turn))
         self.progress.reopen(self.plan, resume.step)
         if self.at_resumed_time is not None:
             self.at_resumed_time(resume.bench_s)
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
+
+    def _soak_again(self, step: int) -> None:
+        """Wait, before `step`, for the temperature of the block as the procedure did when it set the chamber."""
+        for soak in soak_to_repeat(self.plan, self.progress, step):
+            self._insist(partial(self._step, soak))
 
     def _remount(self, step: Mount) -> None:
         """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
@@ -401,6 +408,7 @@ class Runner:
         if found.mount is not None:
             self._insist(partial(self._workbench.do_mount, found.mount))
             self._emit_remounted(found.mount)
+            self._soak_again(found.first)
         return min(found.first, index)
 
     # --- steps ---------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import select
 import sys
@@ -24,6 +25,7 @@ from bench.run.person import NOBODY_KNOWN, REASON, SIGN, WishAuthor, in_english,
 from bench.run.resume import steps_of
 from bench.run.samples import Settling
 from bench.run.sentences import duration, sentence
+from drivers.angles import format_dms
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer, AnsweredByInstrument, Prompt, PromptKind
 
@@ -409,7 +411,9 @@ class ProgressBar:
     def _show_reading(self, reading: Reading | None) -> None:
         if reading and self._console.is_terminal and not quiet.get():
             values = "  ".join(f"{c} {value:+.6f}" for c, value in zip("xyz", reading.mean, strict=True))
-            self._console.print(Text(f"{reading}: {values} {reading.unit}", style="dim"))
+            # with the angle, so that a person sees how a typed one was understood
+            at = "" if reading.angle_deg is None else f", {format_dms(math.radians(reading.angle_deg), 1)}"
+            self._console.print(Text(f"{reading}{at}: {values} {reading.unit}", style="dim"))
 
     def _print_line(self, index: int) -> None:
         if self._console.is_terminal or quiet.get():

@@ -29,7 +29,7 @@ from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused, refusing
 from bench.services.requests import measuring as asked
-from bench.services.requests.shared import name_to_type, runs_folder
+from bench.services.requests.shared import devices_to_type, name_to_type, resume_to_type, runs_folder
 from bench.services.source import Request, Source, load_sources
 from bench.services.verification import VerificationResult
 from drivers.clock import utc_now
@@ -97,7 +97,7 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
     """Compute and write a finished run's results. Raises `Refused` if a signal or an `OSError` stops it."""
     kept = message(f"all readings are kept in {run.folder}")
     again = message(
-        f"stopped before the results were ready; {kept}, and 'bench resume {name_to_type(run.folder)}' computes "
+        f"stopped before the results were ready; {kept}, and 'bench resume {resume_to_type(run.folder)}' computes "
         "the results"
     )
     try:
@@ -112,7 +112,7 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    again = message(f"free disk space, then 'bench resume {name_to_type(run.folder)}' computes its results")
+    again = message(f"free disk space, then 'bench resume {resume_to_type(run.folder)}' computes its results")
     with refusing(message(f"the run is finished and kept; {again}")):
         found = {**_evaluated(source), **charted(run)}
         concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
@@ -265,7 +265,7 @@ def _files(found: Conclusion) -> Iterator[str]:
 
 def _next(found: Conclusion) -> Iterator[str]:
     run, name = found.run, name_to_type(found.run.folder)
-    again = _run_again(run)
+    again = run_again(run)
     verification = found.verification
     if found.calibration is None:
         yield message(f"next: bench {'diagnose' if found.diagnosable else 'show'} {name}")
@@ -280,7 +280,7 @@ def _next(found: Conclusion) -> Iterator[str]:
         yield message(f"next: bench diagnose {name}")
     elif verification is not None and verification.statement == Statement.NOT_COMPLETE:
         then = f"bench verify NEW --coefficients {as_typed(run.folder / 'calibrate.json')}"
-        points = _run_again(run, "verification") + " --dry-run" * run.simulated
+        points = run_again(run, "verification") + " --dry-run" * run.simulated
         yield message(f"next: measure the verification points, {points}; then {then}")
     elif verification is not None and not verification.passed:
         yield message(
@@ -296,10 +296,12 @@ def _next(found: Conclusion) -> Iterator[str]:
         yield message(f"next unit: {again} --unit SERIAL")
 
 
-def _run_again(run: Run, procedure: str | None = None) -> str:
+def run_again(run: Run, procedure: str | None = None) -> str:
+    """Return the command that measures `procedure`, else that of `run`, on the bench of `run`."""
     procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
     asked = run.manifest.get("bench_why") == "as asked for"
-    return f"bench run {procedure}" + (f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else "")
+    bench = f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else ""
+    return f"bench run {procedure}{bench}{devices_to_type()}"
 
 
 def _typed(file: str, kind: str) -> str:

@@ -7,7 +7,7 @@ import os
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, closing, contextmanager, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +16,7 @@ from typing import Any, Final
 from rich.console import Console
 
 from bench.base.computing import quiet, versions
-from bench.base.files import read_regular, to_text, write_whole
+from bench.base.files import read_regular
 from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.config.bench_file.file import BenchFile, foreign_drivers, load_bench, missing_drivers
@@ -40,7 +40,6 @@ from bench.run.folder import (
     MODEL,
     PLAN,
     PROCEDURE,
-    RESULTS,
     Digests,
     Run,
     all_runs,
@@ -65,7 +64,7 @@ from bench.services.errors import Refused
 from bench.services.own_effects import effects_for_record, knowing_effects_on_record, simulated_truth
 from bench.services.persons import STARTED_FROM, acting_at, operator_of, resumer
 from bench.services.requests.measuring import ResumeRequest, RunRequest
-from bench.services.requests.shared import name_to_type, runs_folder
+from bench.services.requests.shared import devices_to_type, name_to_type, resume_to_type, runs_folder
 from bench.services.traceability import remarks
 from bench.services.validated import (
     agree_to_expired,
@@ -234,7 +233,7 @@ def started(
     new = new_run(request)
     who = None if away else acting_at(TERMINAL, request.operator, request.laboratory)
     announce(new)
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, ExitStack() as results:
         with (
             logged_wire(request.wire_log) as wire,
             WishListener(ControlFile(new.folder)) as wishes,
@@ -244,7 +243,7 @@ def started(
             asker = asker_of(run, record, None, out, who)
             with _to_be_resumed(record):
                 agree_to_expired(run, record, asker)
-            carry_out(run, record, out, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
+            carry_out(run, record, out, results, wire=wire, interrupts=interrupts, wishes=wishes, asker=asker)
         yield Run(new.folder), interrupts
 
 
@@ -262,7 +261,7 @@ def resumed(
     run = unfinished_run(request.name, runs_folder(request.runs), results_too=True)
     refuse_missing_devices(run)
     announce(run)
-    with Interrupts() as interrupts:
+    with Interrupts() as interrupts, ExitStack() as results:
         record, history = taken_up(run, interrupts.shield, results_too=True)
         with (
             closing(record),
@@ -284,6 +283,7 @@ def resumed(
                     run,
                     record,
                     out,
+                    results,
                     history=history,
                     wire=wire,
                     interrupts=interrupts,
@@ -291,6 +291,8 @@ def resumed(
                     asker=asker,
                     resumed_by=by,
                 )
+            else:
+                run.results_due(results)
         yield Run(run.folder), interrupts
 
 
@@ -321,6 +323,7 @@ def carry_out(
     run: Run,
     record: Record,
     out: Console,
+    results: ExitStack | None = None,
     *,
     history: History | None = None,
     wire: WireLog | None = None,
@@ -331,12 +334,12 @@ def carry_out(
 ) -> None:
     """Carry out a run to its end. If it stops early, raise `Refused` with the number of readings kept.
 
-    A resumed run has a `history`. `interrupts` handles signals during the run, `wishes` reads the requests
-    (pause, skip, …) left in its folder, `asker` puts questions to a person. `resumed_by` is the person who
-    resumed it.
+    Until `results` closes, the results of the run are shown as due. A resumed run has a `history`. `interrupts`
+    handles signals during the run, `wishes` reads the requests (pause, skip, …) left in its folder, `asker` puts
+    questions to a person. `resumed_by` is the person who resumed it.
     """
     signals = interrupts or Interrupts()
-    write_whole(run.folder / RESULTS, to_text({"made": None}))
+    run.results_due(results)
     wishes = wishes or WishListener(ControlFile(run.folder))
     resume = resume_point(run.plan, history) if history else None
     if history and resume and not run.simulated:
@@ -485,7 +488,7 @@ def _refuse_renamed(record: Record) -> None:
     if place == record.folder:
         return
     now = message(f"it is {place} now") if place else message("it is no longer beside the other runs")
-    again = as_typed(place or "FOLDER")
+    again = as_typed(place or "FOLDER") + devices_to_type()
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"
@@ -505,9 +508,11 @@ def _recorded(record: Record) -> str:
 
 
 def _kept(record: Record) -> str:
-    place = record.whereabouts() or record.folder
-    resume = message(f"resume with 'bench resume {name_to_type(place)}'")
-    return f"{_recorded(record)}; {resume}"
+    place, kept = record.whereabouts(), _recorded(record)
+    if place is None:
+        return kept
+    resume = message(f"resume with 'bench resume {resume_to_type(place)}'")
+    return f"{kept}; {resume}"
 
 
 # --- runs that another program has left -------------------------------------------------------------

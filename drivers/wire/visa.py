@@ -518,9 +518,10 @@ class ProvedInstrument(ABC):
         write_gap_s: float = 0.0,
     ) -> None:
         self.name = name
-        self._session = ProvedSession(session, clock, self._prove, write_gap_s=write_gap_s)
+        self._session = ProvedSession(session, clock, self._prove_same, write_gap_s=write_gap_s)
         self._clock = clock
         self._identity = identity
+        self._first: Identity | None = None
 
     def open(self) -> Identity:
         """Connect, verify the instrument and return its identity; nothing moves, and no output changes.
@@ -537,6 +538,13 @@ class ProvedInstrument(ABC):
         """
         self._session.close()
         return ""
+
+    def _prove_same(self) -> None:
+        """Call `_prove`; raise `InstrumentRefused` if the identity is not that of the first connection."""
+        self._prove()
+        if self._first is not None:
+            self._first.refuse_other(self.name, self._identity)
+        self._first = self._identity
 
     @abstractmethod
     def _prove(self) -> None:

@@ -60,6 +60,7 @@ def test_a_folder_deleted_in_mid_run_stops_the_run(bench, in_mid_run):
     status, _, err = run_on(bench)
     assert status == 2
     assert "was deleted during the run, and its readings are lost; run it again" in err
+    assert "resume" not in err
 
 
 def test_a_page_that_cannot_be_written_is_told_with_what_to_do(bench, monkeypatch):

@@ -34,6 +34,12 @@ instrument refuses or ignores a command that makes it safe
 block off while a run was stopped
     run/test_power.py test_a_run_that_goes_on_with_the_block_off_meanwhile_warms_it_up_as_another_visit
     run/test_power.py test_the_least_time_off_is_kept_when_a_run_goes_on
+another instrument at an address during a run
+    drivers/test_scpi_voltmeter.py test_another_meter_of_the_same_model_is_refused_over_a_new_connection
+    drivers/wire/test_visa.py test_an_instrument_exchanged_between_two_connections_is_refused
+chamber in standby while a run was stopped, or opened for `:remount`
+    run/test_way_out.py test_a_run_resumed_at_a_temperature_lets_the_block_soak_again
+    run/test_way_out.py test_a_block_mounted_again_at_a_temperature_soaks_again
 instruments absent at start or resume
     run/test_runner.py test_every_absent_instrument_is_named_at_once
     run/test_way_out.py test_instruments_that_were_opened_before_one_failed_are_let_go

@@ -131,3 +131,21 @@ def test_the_number_of_an_error_is_the_first_group_of_its_pattern(monkeypatch) -
     meter.open()
     with pytest.raises(InstrumentRefused, match="error NO 7/BAD POINTS"):
         meter.configure(SETTINGS)
+
+
+def test_another_meter_of_the_same_model_is_refused_over_a_new_connection() -> None:
+    other: Pairs = [("*IDN?", "VOLTWERKE GMBH,MODEL 7,4711,A01")]
+    quiet: Pairs = [(":STAT:QUE?", '0,"No error"')]
+    session = ScriptedSession(
+        OPEN, SET, quiet, other, OPEN, SET, quiet, [(":TRAC:FEED:CONT NEXT;:INIT", None)]
+    )
+    meter = other_make(session, session.clock)  # type: ignore[arg-type]
+    meter.open()
+    meter.configure(SETTINGS)
+    session.connection = None
+    with pytest.raises(
+        InstrumentRefused, match=r"was VOLTWERKE GMBH MODEL 7 0815 A01 and is now .* 4711 A01; conn"
+    ):
+        meter.start()
+    meter.start()  # the first one is connected again
+    assert session.left == []

@@ -4,6 +4,8 @@ import json
 import re
 import shutil
 from collections import deque
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +29,7 @@ from bench.panel.stream import DISK_NEEDED, Follower
 from bench.run.events import EVENTS, MANIFEST, Event, RunState
 from bench.run.folder import RESULTS, Run
 from bench.run.person import AskedPrompt, mount_prompt
+from bench.run.record import locked
 from tests.support.pages import ROOT
 from tests.support.panel_client import Browser
 
@@ -120,6 +123,33 @@ def test_results_that_are_being_computed_are_waited_for(judged):
     assert outcome(judged).state == "waiting"
     assert outcome(judged, finished=False).state == "none"
     assert outcome(judged, age_s=LONGEST_RESULTS_S).state == "none"  # their program was stopped
+    with locked(judged / RESULTS):
+        assert outcome(judged, age_s=1e4).state == "waiting"
+    assert outcome(judged, age_s=LONGEST_RESULTS_S).state == "none"
+
+
+def test_an_old_snapshot_does_not_keep_a_page_waiting_for_results(judged, anna, monkeypatch):
+    (judged / "calibrate.json").unlink()
+    ended = datetime.fromisoformat(Run(judged).history.events.last.time)
+    monkeypatch.setattr("bench.panel.stream.utc_now", lambda: ended + timedelta(seconds=1))
+    monkeypatch.setattr("bench.panel.pages.run.utc_now", lambda: ended + timedelta(hours=1), raising=False)
+    assert 'data-outcome="none"' in anna.get("/runs/run/outcome").text
+
+
+@pytest.mark.slow
+def test_a_run_killed_while_it_computes_does_not_promise_its_results(bench, monkeypatch):
+    """From the last reading to the results, the list of results is locked; a program that ends releases it."""
+    seen = []
+
+    def stopped(run):
+        seen.append(outcome(run.folder, age_s=1e4).state)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("bench.services.conclusion.conclude", stopped)
+    assert bench("run", "quick", "--dry-run", "--name", "one")[0] == 2
+    assert bench("resume", "one")[0] == 2
+    assert seen == ["waiting", "waiting"]
+    assert outcome(Path("runs/one"), age_s=LONGEST_RESULTS_S).state == "none"
 
 
 def test_a_run_says_whether_its_results_are_missing_or_not_due(runs, judged, anna, monkeypatch):

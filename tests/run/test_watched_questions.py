@@ -1,19 +1,23 @@
 """The rails of the block's supply are watched while a question waits, and no answer is lost."""
 
 import io
+import math
 import os
 import pty
 import signal
+from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
 
+from bench.readings.table import Reading
 from bench.run import terminal as terminal_module
-from bench.run.events import RunState, Wish
+from bench.run.events import EventType, RunState, Wish
 from bench.run.interrupts import Interrupts
 from bench.run.person import RunControl
 from bench.run.power import RailFault
 from bench.run.terminal import LineReader, ProgressBar, TerminalPerson
+from drivers.angles import parse_angle
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer, Prompt, PromptKind
 from sim.world.clock import VirtualClock
@@ -86,6 +90,17 @@ def test_lines_of_a_pipe_are_read_one_by_one_and_its_end_is_nobody(monkeypatch):
         assert looks == [1]
         with pytest.raises(NoAnswer):
             person.ask(QUESTION)
+
+
+def test_a_reading_is_shown_with_its_angle_as_it_was_understood():
+    shown = io.StringIO()
+    bar = ProgressBar(PLAN, Console(file=shown, width=200, force_terminal=True), [1.0] * len(PLAN.steps))
+    angle_deg = math.degrees(parse_angle("45.0010"))
+    reading = Reading(
+        installation="1", series=1, pass_number=1, point=2, angle_deg=angle_deg, mean=(-1.5, 0.0, -1.5)
+    )
+    bar(Mock(type=EventType.STEP_DONE, step=0, reading=reading))
+    assert "installation 1, pass 1, point 2, 45°00′03.6″: x -1.500000" in shown.getvalue()
 
 
 # --- runs -------------------------------------------------------------------------------------------

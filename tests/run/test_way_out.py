@@ -6,15 +6,20 @@ from contextlib import closing
 
 import pytest
 
-from bench.config.procedure.plan import Plan, SetTemperature
+from bench.config.procedure.plan import Plan, SetTemperature, Settle, Wait
+from bench.run.events import EventType, Wish
 from bench.run.instruments import with_notes
 from bench.run.interrupts import SIGNALS, Interrupts
-from bench.run.record import RecordError
+from bench.run.person import RunControl
+from bench.run.record import Record, RecordError, resume_point
+from bench.run.runner import Recorder
 from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
 from tests.support.runner_bench import (
     ALL,
+    NOON,
     READS,
     Bench,
+    Wishing,
     changed,
     instruments,
     make_plan,
@@ -197,3 +202,57 @@ def test_a_signal_while_an_event_cannot_be_written_leaves_the_disk_as_the_cause(
 
     with Interrupts() as interrupts, pytest.raises(RecordError, match="disk full"):
         write(interrupts)
+
+
+# --- back at a temperature --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stopped_after", ["r11", "s11", "1/wait", "r23"])
+def test_a_run_resumed_at_a_temperature_lets_the_block_soak_again(tmp_path, monkeypatch, stopped_after):
+    """The chamber was in standby meanwhile. After the last reading at a temperature nothing is waited for."""
+    plan = heated(Settle("1/settle", "signals", 1.0, 30.0, 600.0, 10.0), Wait("1/wait", 7200.0, "soak"))
+    last = Plan(
+        "test", (*plan.steps, SetTemperature("2/temperature", 20.0), Wait("2/wait", 60.0, "soak")), ""
+    )
+    emit = Recorder.emit
+
+    def stop(self, kind, **data):
+        emit(self, kind, **data)
+        if kind is EventType.STEP_DONE and data["key"] == stopped_after:
+            raise KeyboardInterrupt
+
+    with closing(new_record(tmp_path)) as record, monkeypatch.context() as stopping:
+        stopping.setattr(Recorder, "emit", stop)
+        bench = Bench()
+        with pytest.raises(KeyboardInterrupt):
+            with_chamber(make_runner(bench, record, last), Chamber(bench)).run()
+    record, history = Record.reopen(tmp_path / "run", lambda: NOON)
+    with closing(record):
+        bench = Bench()
+        runner = make_runner(bench, record, last, progress=history.progress.copy())
+        with_chamber(runner, Chamber(bench)).run(resume_point(last, history))
+    events = [e for e in recorded(tmp_path / "run")[0].events if e.number > history.events.last.number]
+    keys = [e.data["key"] for e in events if e.type == "step_done"]
+    first = ["2/temperature"] if stopped_after == "r23" else ["1/settle", "1/wait", "w"]
+    assert keys[: len(first)] == first
+    assert recorded(tmp_path / "run")[1] == READS
+
+
+def test_a_block_mounted_again_at_a_temperature_soaks_again(tmp_path):
+    bench = Bench()
+
+    class MountedAgain(Wishing):
+        def poll(self):
+            is_read = ("move", "t13") in bench.done and bench.done[-1][0] == "fetch"
+            return super().poll() if is_read else None
+
+    steps = [*make_plan().steps]
+    turn = next(i for i, step in enumerate(steps) if step.key == "t13")
+    steps[turn:turn] = [SetTemperature("1/temperature", 40.0), Wait("1/wait", 7200.0, "soak")]
+    plan = Plan("test", tuple(steps), "")
+    with closing(new_record(tmp_path)) as record:
+        wish = MountedAgain(RunControl(Wish.MOUNT_AGAIN))
+        with_chamber(make_runner(bench, record, plan, controls=wish), Chamber(bench)).run()
+    keys = [e.data["key"] for e in recorded(tmp_path / "run")[0].events if e.type == "step_done"]
+    again = keys.index("r13") + 1
+    assert keys[again : again + 2] == ["1/wait", "t13"]

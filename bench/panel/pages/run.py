@@ -37,6 +37,7 @@ from bench.run.person import (
     understood_answer,
 )
 from bench.run.record import is_being_written
+from drivers.clock import utc_now
 
 MOST_STREAMS: Final = 30
 """Largest number of live pages of one person; each page occupies a connection."""
@@ -76,7 +77,9 @@ async def _run_page(
     told: Outcome | None = None
     if ended:
         finished = state["state"] == "finished"
-        age = datetime.fromisoformat(state["now"]) - datetime.fromisoformat(state["last_time"])
+        age = utc_now() - datetime.fromisoformat(
+            state["last_time"]
+        )  # the snapshot may be older than this page
         told = await run_in_threadpool(
             outcome_of,
             run,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from bench.base.languages import message
 from bench.base.requests import ESTIMATORS_TOLD, Option
 from bench.base.text import as_typed
+from bench.config.devices import devices_given
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -109,6 +110,16 @@ def runs_folder(runs: str | Path | None) -> Path:
 def name_to_type(run: Path) -> str:
     """Return a run as a shell takes it: its name if it is in the default folder of runs, else its path."""
     return as_typed(run.name if run.parent.absolute() == runs_folder(None).absolute() else run)
+
+
+def devices_to_type() -> str:
+    """Return the options `--devices` of this command, as a command that opens the same bench needs them."""
+    return "".join(f" --devices {as_typed(folder)}" for folder in devices_given.get())
+
+
+def resume_to_type(run: Path) -> str:
+    """Return what follows `bench resume` in the command that resumes a run: the run and the options `--devices`."""
+    return f"{name_to_type(run)}{devices_to_type()}"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,10 +10,11 @@ from functools import partial
 
 import pytest
 
-from drivers.interfaces import BadReading, BenchError, InstrumentLost
+from drivers.interfaces import BadReading, BenchError, Identity, InstrumentLost, InstrumentRefused
 from drivers.wire import pyvisa_connection
-from drivers.wire.visa import MessageSession
+from drivers.wire.visa import MessageSession, ProvedInstrument
 from tests.support.patience import together
+from tests.support.scripted_session import ScriptedSession
 
 NAME = "voltmeter.x"
 READING = r"[+-]\d\.\d{8}E[+-]\d\d"
@@ -395,3 +396,23 @@ def test_close_ends_a_wait_in_another_thread() -> None:
         assert s.connection is None
         waiting.join(LONG_S)
     assert [type(error) for error in raised] == [InstrumentLost]
+
+
+class Numbered(ProvedInstrument):
+    """An instrument that tells its serial number, and nothing else."""
+
+    def _prove(self):
+        self._identity = Identity("made up", "M1", self._session.command("SERIAL?", r"\d+", "a number"))
+
+
+def test_an_instrument_exchanged_between_two_connections_is_refused():
+    session = ScriptedSession([("SERIAL?", "17"), ("SERIAL?", "17"), ("SERIAL?", "18")])
+    instrument = Numbered("chamber", session, session.clock)
+    assert instrument.open().serial == "17"
+    session.connection = None
+    instrument.open()
+    session.connection = None
+    with pytest.raises(
+        InstrumentRefused, match="chamber: was made up M1 17 and is now made up M1 18; connect"
+    ):
+        instrument.open()
