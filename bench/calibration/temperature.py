@@ -17,6 +17,7 @@ import numpy as np
 from bench.base.arrays import Floats, HasCovariance, Ints, Mask, Singles
 from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.model.geometry import COEFFICIENTS, Block
+from bench.readings import columns
 from bench.readings.table import REFERENCE, SHORTED, UNORIENTED, VERIFICATION, JoinedPart, Readings, together
 
 PLATEAU_K: Final = 2.0
@@ -132,8 +133,9 @@ def sort_readings(tables: Sequence[Readings]) -> ThermalReadings:
 
 
 def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
-    """Return, for each row in measurement order, its mounting, visit, branch, and the visit's mean
-    temperature.
+    """Return, for each row in measurement order, its mounting, visit, branch, and the visit's mean temperature.
+
+    Without the column `mounting_number`, the block stays mounted while the temperature changes.
     """
     unknown = _oriented(rows) & ~np.isfinite(rows.temperature_c)
     if np.any(unknown):
@@ -147,13 +149,16 @@ def _walk(rows: Readings) -> tuple[Ints, Ints, Ints, Floats]:
     mounting, visit, branch = (np.zeros(n, dtype=np.int64) for _ in range(3))
     mean = np.full(n, np.nan)
     mounts, start, total = 0, 0, -1
+    noted = columns.mountings(rows.extra)
+    numbers = np.zeros(n, dtype=np.int64) if noted is None else noted
     for i in range(n):
         t = rows.temperature_c[i]
         remounted = i == 0 or rows.installation[i] != rows.installation[i - 1]
         here = float(np.mean(rows.temperature_c[start:i])) if i > start else t
         moved = bool(abs(t - here) > PLATEAU_K)
         again = i > 0 and rows.series[i] != rows.series[i - 1]
-        remounted = remounted or (again and not moved)
+        known = i > 0 and min(numbers[i], numbers[i - 1]) > 0
+        remounted = remounted or (bool(numbers[i] != numbers[i - 1]) if known else again and not moved)
         if remounted or moved:
             side = UNTOLD if remounted else RISING if t > here else FALLING
             mounts += remounted

@@ -294,7 +294,8 @@ def _compared(names: tuple[str, ...], there: Sequence[Snapshot], dates: Sequence
         _changes(alike[0], later, d, s, own)
         for later, d, s, own in zip(alike[1:], differences, u, p.reshape(-1, len(names)), strict=True)
     )
-    return InNumbers(names, alike[0], changes, _constant(alike), _drift(alike, dates) if dates else None)
+    since = _SinceFirst.of(there)
+    return InNumbers(names, alike[0], changes, since.p_constant, since.drift(dates) if dates else None)
 
 
 def _of_free_positions(snapshot: Snapshot) -> bool:
@@ -330,34 +331,46 @@ def _require_regular(snapshot: Snapshot) -> None:
         )
 
 
-def _constant(snapshots: Sequence[Snapshot]) -> float:
-    """Return the p-value of the hypothesis that all calibrations have the same true coefficients."""
-    weights = [np.linalg.inv(snapshot.covariance) for snapshot in snapshots]
-    mean = np.linalg.solve(sum(weights), sum(w @ s.vector for w, s in zip(weights, snapshots, strict=True)))
-    chi2 = sum(chi_square(s.vector - mean, s.covariance) for s in snapshots)
-    return _p_of(chi2, len(mean) * (len(snapshots) - 1), min(s.dof for s in snapshots))
+@dataclass(frozen=True)
+class _SinceFirst:
+    """The differences (n - 1, m) of all later calibrations from the first, with their joint covariance.
 
+    Calibrations made within a few days share the errors of their meters, in whichever calibration they differ from
+    the first. `dof` is the smallest of the calibrations' degrees of freedom.
+    """
 
-def _drift(snapshots: Sequence[Snapshot], dates: Sequence[datetime]) -> DriftLines:
-    """Return straight lines fitted by generalised least squares to all numbers with their covariances."""
-    seconds = np.sort([date.timestamp() for date in dates])
-    years = (seconds - seconds[0]) / SECONDS_PER_YEAR
-    count = len(snapshots[0].vector)
-    normal, right = np.zeros((2 * count, 2 * count)), np.zeros(2 * count)
-    designs = [np.kron([1.0, year - years.mean()], np.eye(count)) for year in years]
-    for design, snapshot in zip(designs, snapshots, strict=True):
-        weighted = np.linalg.solve(snapshot.covariance, design)
-        normal += design.T @ weighted
-        right += weighted.T @ snapshot.vector
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    covariance = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
-    line = covariance @ right
-    left = [s.vector - d @ line for d, s in zip(designs, snapshots, strict=True)]
-    chi2 = sum(chi_square(gap, s.covariance) for gap, s in zip(left, snapshots, strict=True))
-    slope, u = line[count:], u_of(covariance)[count:]
-    dof = count * (len(snapshots) - 2)
-    p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
-    return DriftLines(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
+    difference: Floats
+    covariance: Floats
+    dof: float
+
+    @classmethod
+    def of(cls, snapshots: Sequence[Snapshot]) -> _SinceFirst:
+        n, count = len(snapshots), len(snapshots[0].vector)
+        whole = joint_of(snapshots).whole(np.array([s._wander_from_start for s in snapshots]))
+        change = np.kron(np.hstack([-np.ones((n - 1, 1)), np.eye(n - 1)]), np.eye(count))
+        difference = np.array([s.vector - snapshots[0].vector for s in snapshots[1:]])
+        return cls(difference, change @ whole @ change.T, min(s.dof for s in snapshots))
+
+    @property
+    def p_constant(self) -> float:
+        """The p-value of the hypothesis that all calibrations have the same true coefficients."""
+        chi2 = chi_square(self.difference.ravel(), self.covariance)
+        return _p_of(chi2, self.difference.size, self.dof)
+
+    def drift(self, dates: Sequence[datetime]) -> DriftLines:
+        """Return straight lines fitted by generalised least squares to all numbers with their covariance."""
+        seconds = np.sort([date.timestamp() for date in dates])
+        years = (seconds[1:] - seconds[0]) / SECONDS_PER_YEAR
+        scale = 1.0 / u_of(self.covariance)
+        count = self.difference.shape[1]
+        design = np.kron(years[:, None], np.eye(count)) * scale[:, None]
+        weighted = np.linalg.solve(self.covariance * np.outer(scale, scale), design)
+        covariance = np.linalg.inv(design.T @ weighted)
+        slope, u = covariance @ (weighted.T @ (self.difference.ravel() * scale)), u_of(covariance)
+        chi2 = chi_square(self.difference.ravel() - np.outer(years, slope).ravel(), self.covariance)
+        dof = self.difference.size - count
+        p = holm(special.erfc(np.abs(slope) / u / np.sqrt(2)))
+        return DriftLines(slope, u, p, chi2, dof, float(special.chdtrc(dof, chi2)))
 
 
 def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
@@ -470,6 +483,16 @@ class Joint:
     block: Ints
     gravity: Floats
     place: Ints
+
+    def whole(self, more: Floats) -> Floats:
+        """Return the covariance (12 n, 12 n) of all calibrations; `more` (n, 12, 12) adds to `own`."""
+        n, size, _ = self.meters.shape
+        found = np.einsum("ij,iab,jcb->iajc", self.alike, self.meters, self.meters, optimize=True)
+        for errors, of in ((self.terms, self.block), (self.gravity, self.place)):
+            here = (of[:, None] == of).astype(np.float64)
+            found += np.einsum("ij,iaq,jcq->iajc", here, errors, errors, optimize=True)
+        found[np.arange(n), :, np.arange(n)] += self.own + more
+        return np.asarray(found.reshape(n * size, n * size))
 
     def of_sums(self, weights: Floats) -> Floats:
         """Return the covariance (12, 12) of weighted sums over calibrations.

@@ -81,14 +81,20 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
     own = np.concatenate([system.jacobian[:, :, :FIXED], system.jacobian[:, :, FIXED + a :]], axis=2)
     waves = [fit.slope * wave(k * phase)[:, None] for k in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
     groups, mounts = repeat_groups(problem.conditions), problem.conditions.mounts
+    # series of one mounting share its angles: each would else count as a draw of its own of what a remount changes
+    clamped = problem.conditions.clamped
+    keys = [(s.column, s.mount if s.measured else clamped[s.mount], s.measured) for s in problem.stand]
+    once = list(dict.fromkeys(keys))
+    angles = [problem.stand[keys.index(key)] for key in once]
+    shares = np.array([[float(key == other) for other in once] for key in keys])
     return RunFit(
         name=name,
         y=fit.residuals + by_stand @ fit.others[:a],
         X=own,
-        stand=by_stand,
-        angles=tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in problem.stand),
+        stand=by_stand @ shares,
+        angles=tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in angles),
         levels=np.array(
-            [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in problem.stand]
+            [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in angles]
         ).reshape(-1, 2),
         slope=fit.slope,
         waves=np.stack(waves, axis=2),

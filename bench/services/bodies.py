@@ -31,6 +31,7 @@ from bench.services.source import (
     data_sha256,
     load_each,
     load_sources,
+    on_temperature,
     reading,
     refuse_copies,
     time_of,
@@ -101,6 +102,7 @@ def body_of(sources: list[Source], one_block: bool | None = None) -> Body:
         raise Refused(f"--together: {problem}") from problem
     # a model found in one of the sources has no u there, because its values come from part of this body
     model = next((s.model for s in sources if not any(a.u for a in s.model.effects)), first.model)
+    readings = replace(readings, notes=(*readings.notes, *on_temperature(readings, model)))
     name = " + ".join(source.name for source in sources)
     entries = tuple(entry for source in sources for entry in source.traced.entries)
     own = tuple(dict.fromkeys(effect for source in sources for effect in source.effects))

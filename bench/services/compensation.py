@@ -15,7 +15,13 @@ from bench.base.text import as_typed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
-from bench.calibration.temperature import CompensationTable, TemperatureModel, levels_of, make_table
+from bench.calibration.temperature import (
+    CompensationTable,
+    TemperatureModel,
+    levels_of,
+    make_table,
+    sort_readings,
+)
 from bench.calibration.temperature_fit import temperature_model
 from bench.calibration.tumble import TumbleView, combine, tumble_view
 from bench.calibration.verification import Verification, verify
@@ -23,6 +29,7 @@ from bench.exchange.checks import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_centrifuge
+from bench.readings.table import Readings
 from bench.results.compensation import CompensateResult, TumbleResult, compensate_result, tumble_result
 from bench.services.arguments import python_call
 from bench.services.calibration import calibration_of
@@ -36,18 +43,36 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 """Errors of a calibration at a single temperature that a model over temperature does not contain."""
 
 
-def _hidden(source: Source) -> tuple[SourceOfError, ...]:
-    """Return the bench errors that no reading shows; they are equal at all temperatures."""
+def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...]:
+    """Return the bench errors that no reading shows; they are equal at all temperatures.
+
+    The readings are corrected to the reference temperature. Otherwise the fit would take their dependence on the
+    temperature for noise, which enlarges the part of the third mounting angle. A mounting may last for several
+    series, as in the fit of the model.
+    """
+    own = sort_readings([source.readings])
+    readings = replace(_at(model.reference_c, own.rows, model), series=own.mounting)
     found = calibrate(
-        source.readings,
+        readings,
         source.model,
         source.stand_u,
         source.g_m_s2,
+        noise=model.noise,
         assumed_u=source.assumed_u,
         find_shared=False,
     )
-    signed = sign(found, source.readings, source.bench, source.model, source.traced.day, source.known_meters)
+    signed = sign(found, readings, source.bench, source.model, source.traced.day, source.known_meters)
     return tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
+
+
+def _at(temperature_c: float, readings: Readings, model: TemperatureModel) -> Readings:
+    """Return readings, each of known temperature, with signals corrected by the model to one temperature."""
+    block = model.block(temperature_c)
+    signal = [
+        block.output(model.block(at).specific_force(one))
+        for at, one in zip(readings.temperature_c.tolist(), readings.signal, strict=True)
+    ]
+    return replace(readings, signal=np.array(signal))
 
 
 def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> TemperatureModel:
@@ -96,7 +121,7 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     tables = [source.readings for source in loaded]
     degree = _degree(request.degree)
     shown = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, request.reference, degree)
-    hidden = _hidden(first)
+    hidden = _hidden(first, shown)
     combined, same_meters = _with(shown, hidden), _with(shown, (s for s in hidden if not s.cancels))
     table = make_table(combined, first.bench.unit_under_test.range, request.step)
     checks = tuple(check for source in loaded for check in _checks(source, same_meters))
@@ -138,11 +163,7 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
     for number in np.unique(level):
         own = rows.select(level == number)
         t = float(np.mean(own.temperature_c))
-        signal = [
-            model.block(t).output(model.block(at).specific_force(one))
-            for at, one in zip(own.temperature_c.tolist(), own.signal, strict=True)
-        ]
-        own = replace(own, signal=np.array(signal))
+        own = _at(t, own, model)
         yield (
             t,
             verify(

@@ -18,14 +18,15 @@ from bench.base.computing import versions
 from bench.base.languages import message
 from bench.base.text import civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
-from bench.calibration.noise import KnownStand
+from bench.calibration.noise import ONE_TEMPERATURE_K, KnownStand
 from bench.config.bench_file.file import BenchFile
 from bench.config.model_file import ModelFile, load_model
 from bench.model import CATALOGUE, Effect, ForwardModel
+from bench.model.effects import TEMPERATURE_EFFECTS
 from bench.model.effects.formula import SINCE_POWER_ON, FormulaEffect, names_in
 from bench.readings.columns import SINCE_POWER_ON_S, ranges_in_words
 from bench.readings.corrected import VOLTS, corrected
-from bench.readings.table import Readings
+from bench.readings.table import FREE, UNORIENTED, VERIFICATION, Readings
 from bench.results.parts import FailedPart
 from bench.run.events import MANIFEST, RecordError, sha256
 from bench.run.folder import IMPORTED, Run, find_run
@@ -306,7 +307,7 @@ def _load(given: Given, request: Request) -> Source:
     if learned.meters is not None:
         traced = replace(traced, by=traced.by.then(learned.meters.gain, learned.meters.offset_v))
         readings = corrected(as_read, traced.by)
-    notes += (*_on_power(own, readings), *_on_copies(as_read))
+    notes += (*_on_power(own, readings), *_on_copies(as_read), *on_temperature(as_read, model))
     readings = replace(readings, notes=(*notes, *learned.notes, *traced.notes(), *readings.notes))
     name = given if isinstance(given, str) else readings.source
     return Source(
@@ -324,6 +325,30 @@ def _on_power(own: Iterable[Effect], readings: Readings) -> tuple[str, ...]:
         f"these readings do not say when the block was switched on (column {SINCE_POWER_ON_S}): "
         f"{SINCE_POWER_ON} of {', '.join(names)} counts from the start of the run",
     )
+
+
+def on_temperature(readings: Readings, model: ForwardModel) -> Iterator[str]:
+    """Yield a note if verification points or free positions were measured outside the temperatures of the settings.
+
+    There is none if the model has an effect of temperature, and for unknown temperatures.
+    """
+    if any(one.effect.name in TEMPERATURE_EFFECTS for one in model.effects):
+        return
+    at_c, of = readings.temperature_c, readings.installation
+    known = np.isfinite(at_c)
+    settings = at_c[known & ~np.isin(of, [VERIFICATION, *UNORIENTED])]
+    for label in (VERIFICATION, FREE) if len(settings) else ():
+        own = at_c[known & (of == label)]
+        if len(own) and max(own.max() - settings.max(), settings.min() - own.min()) > ONE_TEMPERATURE_K:
+            yield message(
+                f"installation {label} was measured at {_range_c(own)}, the others at {_range_c(settings)}: "
+                "Δg and residuals may come from this difference; see thermal_bias and thermal_scale"
+            )
+
+
+def _range_c(at_c: Floats) -> str:
+    low, high = f"{at_c.min():.1f}", f"{at_c.max():.1f}"
+    return f"{low} °C" if low == high else f"{low} … {high} °C"
 
 
 FINE: Final = 1e-5

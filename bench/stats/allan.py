@@ -253,7 +253,7 @@ def fit_terms(curve: AllanCurve) -> NoiseTerms:
         weight = np.sqrt(freedom / 2.0) / predicted
         scaled, scale = _unit_columns(columns * weight[:, None])
         new = optimize.nnls(scaled, measured * weight)[0] / scale
-        still = np.allclose(columns @ new, predicted, rtol=1e-9)
+        still = np.allclose(columns @ new, predicted, rtol=1e-9, atol=0.0)
         squares = new
         if still:
             break

@@ -352,8 +352,8 @@ def as_expected(of: str, rows: Iterable[tuple[Any, ...]]) -> Finding:
     wrong = []
     for name, (value, expanded, unit) in expected().items():
         mine = found.get(name, (np.nan, np.nan, "missing"))
-        same = np.isclose(mine[0], value, rtol=1e-12) and mine[2] == unit
-        if not same or (expanded is not None and not np.isclose(mine[1], expanded, rtol=1e-12)):
+        same = np.isclose(mine[0], value, rtol=1e-12, atol=0.0) and mine[2] == unit
+        if not same or (expanded is not None and not np.isclose(mine[1], expanded, rtol=1e-12, atol=0.0)):
             wrong.append(f"{name} {mine[0]:.9g} {mine[2]}, U {mine[1]:.3g}")
     return Finding(not wrong, "; ".join(wrong[:3]) or f"{len(expected())} numbers", of=of)
 

@@ -1,5 +1,7 @@
 """How readings are sorted into mountings and temperatures; how terms are dropped."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -36,6 +38,14 @@ def test_a_block_stays_mounted_while_the_temperature_changes():
 def test_it_is_mounted_anew_after_another_installation_and_for_a_new_series_at_the_same_temperature():
     assert mountings(("1", 1, 20), ("2", 1, 20), ("1", 2, 20)) == [1, 2, 3]
     assert mountings(("1", 1, 20), ("1", 2, 20.5), ("1", 2, 40)) == [1, 2, 2]
+
+
+def test_the_column_of_mountings_decides_where_there_is_one():
+    table = rows(("1", 1, 20), ("1", 2, 40), ("1", 3, 40))
+    noted = replace(table, extra={"mounting_number": np.repeat(["1", "2", "2"], 3)})
+    assert sort_readings([noted]).mounting[::3].tolist() == [1, 2, 2]
+    partly = replace(table, extra={"mounting_number": np.repeat(["", "", "2"], 3)})
+    assert sort_readings([partly]).mounting[::3].tolist() == [1, 1, 2]
 
 
 def test_verification_takes_it_off_a_shorted_input_does_not():

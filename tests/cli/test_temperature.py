@@ -49,6 +49,14 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
 
 
 @pytest.mark.slow
+def test_the_roll_of_a_mounting_is_in_u_once_whatever_the_block_does_over_temperature(bench, readings):
+    """30″ of the third mounting angle are 311 µV/g of Kyz and Kzy (metrology: 934 uV/g for 90″)."""
+    result = json.loads(bench("compensate", readings, "--json", "-")[1])
+    (roll,) = [one for one in result["uncertainty_sources"] if one["name"] == "mounting_roll"]
+    assert [roll["u"][name] for name in ("Kyz", "Kzy")] == pytest.approx([311e-6, 311e-6], rel=0.02)
+
+
+@pytest.mark.slow
 def test_points_of_one_plateau_are_verified_together(bench, readings, polynomials, tmp_path):
     """A thermometer shows another temperature at each point: four temperatures are not four verifications.
 

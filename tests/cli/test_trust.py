@@ -12,6 +12,8 @@ import pytest
 
 from bench.readings.csv import write_csv
 from bench.run.folder import Run
+from bench.services.bodies import whole_body
+from bench.services.requests.evaluation import Diagnose
 from tests.support.commands import printed, refused
 
 
@@ -186,6 +188,24 @@ def test_the_closed_form_takes_360_degrees_written_as_0(bench, measured):
 def test_a_runs_folder_that_cannot_be_written_is_one_sentence(bench):
     Path("runs").write_text("in the way")
     refused(bench("run", "quick", "--dry-run"), "cannot be written")
+
+
+@pytest.mark.slow
+def test_points_verified_at_another_temperature_are_named(bench, paper_run):
+    """Of two files that are diagnosed together, the diagnosis says so."""
+    measured = Run(Path("runs/run")).readings()
+    points = measured.installation == "V"
+    warm = replace(measured, temperature_c=np.where(points, 33.0, 23.0))
+    write_csv(replace(measured, temperature_c=np.where(points, 23.8, 23.0)), Path("alike.csv"))
+    write_csv(warm, Path("warm.csv"))
+    write_csv(warm.select(~points), Path("settings.csv"))
+    write_csv(warm.select(points), Path("points.csv"))
+    named = "installation V was measured at 33.0 °C, the others at 23.0 °C"
+    for command in ("calibrate", "verify"):
+        assert named in " ".join(bench(command, "warm.csv")[1].split())
+        assert "was measured at" not in bench(command, "alike.csv")[1]
+    both = whole_body(Diagnose(source=("settings.csv", "points.csv"))).source.readings
+    assert sum(named in note for note in both.notes) == 1
 
 
 @pytest.mark.slow

@@ -157,6 +157,26 @@ def test_a_drift_has_its_rate_and_an_honest_uncertainty():
     assert drift.dof == 24
 
 
+@pytest.mark.slow
+def test_calibrations_of_one_week_share_the_errors_of_their_meters():
+    """Seed 37, 200 unchanged blocks, one day in a year and five in the next: 5 % show a drift or a change."""
+    rng = np.random.default_rng(37)
+    meters = 25.0 * COVARIANCE
+    days = np.array([0.0, 400.0, 401.0, 402.0, 403.0, 404.0])
+    apart = np.abs(days[:, None] - days)
+    alike = np.linalg.cholesky(np.maximum(1.0 - apart / 90.0, 0.0))
+    shown = np.zeros(2)
+    for _ in range(200):
+        error = alike @ rng.normal(size=(6, 12)) @ (5.0 * ROOT).T
+        found = compare([
+            drawn(rng, own, days=day, name=f"{day:g}", covariance=COVARIANCE + meters, same_meters=COVARIANCE,
+                  meters=("A", "B", "C"))
+            for own, day in zip(error, days.tolist(), strict=True)
+        ]).twelve  # fmt: skip
+        shown += [bool(np.any(found.drift.shown)), found.p_constant < 0.05]
+    assert np.all(shown <= 10 + 4 * np.sqrt(10))
+
+
 def test_the_line_through_independent_coefficients_is_the_textbooks():
     rng = np.random.default_rng(35)
     sizes = [1e-5, 2e-5, 3e-5, 1e-5]

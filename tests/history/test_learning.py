@@ -111,6 +111,26 @@ def without_run_4():
     return learn(others, STATED), others
 
 
+def test_series_of_one_mounting_are_one_draw_of_its_angles():
+    """Seed 15: three series of two passes in one mounting tell of the remount no more than its six passes."""
+    whole = simulate(np.random.default_rng(15), TRUTH, 6, passes=6, turned=(1,)).tables()
+    parts = [
+        replace(
+            table, series=(table.pass_number + 1) // 2,
+            extra={"mounting_number": (1 + np.unique(table.installation, return_inverse=True)[1]).astype(str)},
+        )
+        for table in whole
+    ]  # fmt: skip
+    once, thrice = (learn([run_fit(t.source, t, MODEL, STATED) for t in of], STATED) for of in (whole, parts))
+    assert thrice.keys == once.keys
+    means = len(once.keys)
+    u, u_parts = (np.sqrt(np.diag(one.covariance))[:means] for one in (once, thrice))
+    assert u_parts == pytest.approx(u, rel=0.05)
+    assert [v.size for v in thrice.variances[:2]] == pytest.approx(
+        [v.size for v in once.variances[:2]], rel=0.2
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("own", [{"K2": {3: 1.5e-4}}, {"drift": {3: 1.2e-3}}])
 def test_what_one_block_has_is_named_and_not_charged_to_the_bench(own, without_run_4):

@@ -53,6 +53,33 @@ def test_u_is_the_scatter_between_runs():
     assert ratio == pytest.approx(1.0, abs=4 / np.sqrt(800))
 
 
+@pytest.mark.slow
+def test_u_knows_an_error_of_settings_from_noise():
+    """Seed 7, 200 runs of 1 µV and 3.3″: a setting scatters the angle and the biases, not the scale factors."""
+    rng = np.random.default_rng(7)
+    runs = []
+    for day in range(200):
+        phi = np.radians(np.tile((0, 90, 180, 270), 4))
+        nominal = specific_force(["1"] * 16, phi)
+        signal = specific_force(["1"] * 16, phi + rng.normal(0.0, 1.6e-5, 16)) @ K.T + U0
+        signal += rng.normal(0.0, 1e-6, signal.shape)
+        runs.append(monitor_run(f"day {day}", BEGAN + timedelta(days=day), signal, nominal))
+    stated = np.sqrt(np.mean([np.diag(one.covariance) for one in runs], axis=0))
+    ratio = np.std([one.value for one in runs], axis=0, ddof=1) / stated
+    assert ratio == pytest.approx(1.0, abs=4 / np.sqrt(400))
+    chart = monitor_chart(runs[:60], 5)
+    assert sum(not verdict.accepted for verdict in chart.verdicts) <= 2
+
+
+def test_positions_that_are_never_repeated_have_the_scatter_of_the_residuals():
+    phi = np.radians(np.arange(0, 360, 45))
+    force = specific_force(["1"] * 8, phi)
+    signal = force @ K.T + U0 + np.random.default_rng(8).normal(0.0, NOISE_V, (8, 3))
+    one = monitor_run("once", BEGAN, signal, force)
+    assert one.s_dof == pytest.approx(10.0)
+    assert one.s == pytest.approx(NOISE_V, rel=0.5)
+
+
 def test_a_shift_is_found_and_quiet_days_are_not():
     rng = np.random.default_rng(4)
     quiet = [run(rng, day) for day in range(25)]

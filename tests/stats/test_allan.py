@@ -9,7 +9,7 @@ import pytest
 from allantools.ci import edf_greenhall
 
 from bench.calibration import CalibrationError
-from bench.stats.allan import AllanCurve, allan_curve
+from bench.stats.allan import AllanCurve, allan_curve, fit_terms
 
 WHITE, FLICKER, WALK = 0, -1, -2
 LENGTHS = (32, 100, 1000, 4096, 19217)
@@ -42,6 +42,16 @@ def test_a_drift_has_the_deviation_of_a_straight_line():
     """a tau/sqrt(2)."""
     curve = allan_curve(3e-6 * 0.5 * np.arange(5000.0) - 2.5, 0.5)
     assert curve.deviation == pytest.approx(3e-6 * curve.tau_s / np.sqrt(2), rel=1e-9)
+
+
+def test_a_signal_in_microvolts_has_the_noise_terms_of_one_in_volts():
+    """Seed 34: units change the terms by their factor alone, and neither their number nor the test of the fit."""
+    rng = np.random.default_rng(34)
+    signal = rng.normal(size=4000) + np.cumsum(0.05 * rng.normal(size=4000))
+    large, small = (fit_terms(allan_curve(size * signal, 0.2)) for size in (1.0, 1e-6))
+    np.testing.assert_allclose(small.values, 1e-6 * large.values, rtol=1e-6)
+    np.testing.assert_allclose(small.u, 1e-6 * large.u, rtol=1e-6)
+    assert small.p == pytest.approx(large.p, rel=1e-6)
 
 
 def test_a_large_mean_takes_no_digits_from_the_noise():

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask, grouped
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
@@ -31,6 +31,8 @@ from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readings
 
 _SAME_FORCE_G: Final = 1e-6
+_SAME_READ_FORCE_G: Final = 5e-3
+"""Measured specific forces at most this far apart are of one orientation, whatever the errors of the bracket."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +114,8 @@ class Setup:
 
     @property
     def calibrated_k(self) -> float:
-        """The mean temperature of the readings minus the reference temperature, K."""
-        return float(self.conditions.warmth_k.mean())
+        """The mean temperature of the fitted readings minus the reference temperature, K."""
+        return float(self.conditions.warmth_k[self.fitted].mean())
 
     def _angles(self, name: str | None = None, size_rad: float = 0.0) -> Floats:
         angles = np.zeros((len(self.conditions.mounts), len(STAND_ANGLES)))
@@ -289,7 +291,7 @@ class MeasuredReadings:
     """Measured readings on which errors act; `block` converts their signals to forces.
 
     `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
-    calibration used these readings, or if it is unknown.
+    calibration used all these readings, or if it is unknown.
     """
 
     readings: Readings
@@ -325,16 +327,12 @@ class MeasuredReadings:
     def orientation(self) -> Ints:
         """Orientation number of each reading, shape (n,).
 
-        It is equal for readings of one installation with equal angles, rounded to a degree. Each reading without an
-        orientation has a number of its own.
+        It is equal for readings with nearly equal specific forces, also in different installations. Each reading
+        without an orientation has a number of its own.
         """
-        of = self.readings
-        degrees = np.where(np.isfinite(of.angle_rad), np.degrees(of.angle_rad), 0.0)
-        keys = np.stack([np.round(degrees) % 360, np.zeros(len(of))], axis=1)
-        names = np.unique(of.installation, return_inverse=True)[1]
-        alone = np.isin(of.installation, list(UNORIENTED))
-        keys[:, 1] = names
-        keys[alone, 0] = 1000.0 + np.flatnonzero(alone)
+        alone = np.isin(self.readings.installation, list(UNORIENTED))
+        alike = [grouped(component, _SAME_READ_FORCE_G) for component in self.force.T]
+        keys = np.stack([*alike, np.where(alone, 1 + np.arange(len(alone)), 0)], axis=1)
         return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
 
 
@@ -378,11 +376,7 @@ def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
 
 def _same_angle(setup: AnyReadings) -> Ints:
     """Return a number for each reading (n,) that is equal for equal angles on the head's scale."""
-    angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
-    order = np.argsort(angle_rad, kind="stable")
-    numbers = np.empty(len(order), dtype=np.int64)
-    numbers[order] = np.concatenate([[0], np.cumsum(np.diff(angle_rad[order]) > _SAME_ANGLE_RAD)])
-    return numbers
+    return grouped(np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau), _SAME_ANGLE_RAD)
 
 
 def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:

@@ -332,7 +332,9 @@ def _shared_at(
 
 
 def _taken(calibration: Calibration, readings: Readings, bench: BenchFile) -> MeasuredReadings:
-    return MeasuredReadings(readings, calibration.block, meters_of(bench), calibration.slope)
+    known = calibration.temperatures_c
+    at_c = float(np.mean(known)) if len(known) else None
+    return MeasuredReadings(readings, calibration.block, meters_of(bench), calibration.slope, at_c)
 
 
 def _acting(

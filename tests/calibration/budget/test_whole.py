@@ -86,6 +86,42 @@ def test_it_is_the_budget_of_the_plan_where_the_noise_is_the_same(run):
         np.testing.assert_allclose(u, budget.contribution(name).u, rtol=0.02, atol=1e-6)
 
 
+def test_equal_voltages_have_equal_errors_of_linearity(run):
+    """Installation 2 at 270° has the voltages of installation 1 at 90°: budget and calibrate count them once."""
+    found = signed(run, Noise(1e-4, STAND_U["setting_error"], np.inf, "given"))
+    setup = Setup(MODEL, run.conditions(), Block.from_vector(found.block.vector))
+    budget = make_budget(setup, bench_sources(BENCH, setup))
+    u = np.sqrt(np.diag(source(found, "voltmeter_linearity").covariance))
+    np.testing.assert_allclose(u, budget.contribution("voltmeter_linearity").u, rtol=0.02)
+
+
+def test_passes_at_half_degrees_share_their_error_of_linearity():
+    """Seed 4: as read, 22.5° is on either side of the half degree."""
+    angle = np.tile(np.arange(16) * np.pi / 8, 6)
+    labels, passes = np.repeat(["1", "2"], 48), np.tile(np.repeat([1, 2, 3], 16), 2)
+    read = angle + np.random.default_rng(4).normal(0.0, 2 * ARCSEC, len(angle))
+    zero = np.zeros(len(angle))
+    signal = specific_force(labels, angle, zero, zero, zero, zero, zero) @ K.T + U0
+    exact, as_read = (
+        signed(
+            make_readings(labels.tolist(), passes.tolist(), np.tile(np.arange(1, 17), 6).tolist(), at, signal,
+                          source="half degrees"),
+            Noise(1e-4, STAND_U["setting_error"], np.inf, "given"),
+        )
+        for at in (angle, read)
+    )  # fmt: skip
+    u, u_read = (np.diag(source(one, "voltmeter_linearity").covariance) ** 0.5 for one in (exact, as_read))
+    np.testing.assert_allclose(u_read, u, rtol=0.01)
+
+
+def test_points_verified_at_another_temperature_leave_u_of_the_coefficients(run):
+    """The coefficients are those of the readings in the fit, at 23 °C, wherever they are verified."""
+    at_c = np.full(len(run), 23.0)
+    warm = np.where(run.installation == VERIFICATION, 33.0, 23.0)
+    alike, apart = (signed(dataclasses.replace(run, temperature_c=one)) for one in (at_c, warm))
+    np.testing.assert_allclose(apart.u, alike.u, rtol=1e-9)
+
+
 def test_what_cancels_cancels(run):
     """The same meters at calibration and check: their gain and offset add nothing to delta g."""
     found = signed(run)
