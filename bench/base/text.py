@@ -117,6 +117,12 @@ def repeated(words: Iterable[str]) -> list[str]:
     return [word for word, times in Counter(words).items() if times > 1]
 
 
+LISTED: Final = 8
+"""Largest number of entries of a list in a result."""
+LISTED_IN_SENTENCE: Final = 4
+"""Largest number of entries that one sentence lists."""
+
+
 def listed(names: Sequence[str]) -> str:
     """Return names joined for a sentence: "Kxx, Kxy and Kxz"."""
     if len(names) < 2:

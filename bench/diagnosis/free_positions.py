@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special, stats
 
 from bench.base.arrays import Floats, Ints
+from bench.base.text import LISTED
 from bench.calibration.design import FIXED, UPPER
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import (
@@ -39,7 +40,7 @@ from bench.diagnosis.free_records import (
     place_of,
 )
 from bench.diagnosis.gap import measure_gap
-from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS, HARDLY_EVER, LEAST_FREEDOM, LISTED
+from bench.diagnosis.levels import BY_CHANCE, FAR, FOLDS, HARDLY_EVER, LEAST_FREEDOM
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.multi_run_system import elapsed_part
 from bench.diagnosis.naming import Naming, name

@@ -24,6 +24,8 @@ MOSTLY: Final = 0.5
 """Least fraction that counts as most of a gap, of a square, or of a prior's u."""
 NEGLIGIBLE: Final = 1e-12
 """Relative size below which a number is only rounding: some thousand times the precision of a float."""
+CLEARLY_LARGER: Final = 2.0
+"""Least ratio of two sizes, or of two time constants, lags or widths, that counts as a clear difference."""
 FAR: Final = 6.0
 """Least deviation of a reading, in units of its u, that is reported: noise gives it in 2 of 1e9 readings."""
 ONE_DIRECTION: Final = 0.01
@@ -52,9 +54,5 @@ FARTHEST: Final = 3.0
 """Largest credible value, in standard deviations of its prior: a normal number exceeds it in 0.3 % of cases."""
 STEPS: Final = 8
 """Largest number of rounds of a repeated linearisation, fit, correction or zoom; six or twelve agree to 2e-6."""
-LISTED: Final = 8
-"""Largest number of entries of a list in a result."""
-LISTED_IN_SENTENCE: Final = 4
-"""Largest number of entries that one sentence lists."""
 CHUNK: Final = 100
 """Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""

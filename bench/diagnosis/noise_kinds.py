@@ -21,7 +21,7 @@ from bench.base.languages import message
 from bench.base.numbers import quantity, two_digits
 from bench.calibration.budget.meters import HALF_WAVES, flicker_waves
 from bench.diagnosis.evidence import KNOWN_SIZE
-from bench.diagnosis.levels import HARDLY_EVER, STEPS
+from bench.diagnosis.levels import CLEARLY_LARGER, HARDLY_EVER, STEPS
 from bench.diagnosis.linear import LinearSystem, RunSizes
 from bench.diagnosis.noise_grid import (
     SAME_SIZE,
@@ -474,9 +474,6 @@ def noise_kinds(
         )
 
 
-LARGER: Final = 2.0
-"""Least ratio of found to stated noise that is reported as a finding."""
-
 OWN_SCATTER: Final = message("the readings' own scatter")
 BENCH_FILE: Final = message("the bench file")
 
@@ -526,7 +523,7 @@ def noise_findings(
     slow: Floats | None = None,
     by_channel: Floats | None = None,
 ) -> tuple[NoiseFinding, ...]:
-    """Return each noise that is significantly larger than stated, and by at least the factor `LARGER`.
+    """Return each noise that is significantly larger than stated, and by at least the factor `CLEARLY_LARGER`.
 
     `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file. `typical_slope` is in the
     unit of the signal per rad; `digit` is the step of the last digit. With `by_run`, each run has its own noise.
@@ -544,7 +541,7 @@ def noise_findings(
         p = float(special.chdtrc(freedom, freedom * along[0] / along[1]))
         size, limit = noise.setting_rad / ARCSEC, setting / ARCSEC
         found.append(NoiseFinding("setting", size, limit, "arcsec", size / limit, p, BENCH_FILE))
-    larger = [one for one in found if one.factor > LARGER and one.p < HARDLY_EVER]
+    larger = [one for one in found if one.factor > CLEARLY_LARGER and one.p < HARDLY_EVER]
     white_alone = any(one.what == "reading" for one in larger)
     return tuple(one for one in larger if not (white_alone and one.what == "slow"))
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.text import LISTED, LISTED_IN_SENTENCE
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError, DeviatingReadings
 from bench.config.bench_file.file import BenchFile
@@ -17,7 +18,7 @@ from bench.diagnosis.candidates import Candidates, Variant, is_form, with_terms
 from bench.diagnosis.evidence import Threshold, ThresholdCache, Whitened
 from bench.diagnosis.gap import Gap, measure_gap, near_ratios
 from bench.diagnosis.known_bench import NOTHING_KNOWN, KnownBench
-from bench.diagnosis.levels import BY_CHANCE, LISTED, LISTED_IN_SENTENCE, MOSTLY
+from bench.diagnosis.levels import BY_CHANCE, MOSTLY
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import Mistake, MistakesLeaveTooLittle
 from bench.diagnosis.multi_run_system import find_mistakes_in_each, with_blocks

@@ -19,7 +19,7 @@ from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
+from bench.diagnosis.levels import BY_CHANCE, CLEARLY_LARGER, HARDLY_EVER, NEGLIGIBLE, OFTEN, UNSEEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.naming import MOST_EFFECTS, Naming, Scored
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect
@@ -327,8 +327,6 @@ def applied_of(
 
 PART: Final = 0.5
 """Prior 1 sigma of the size of another shape, as a fraction of the size found."""
-BEYOND: Final = 2.0
-"""Factor by which other shapes extend beyond the ends of a grid of time constants, lags or widths."""
 WIDE: Final = 1.5
 """If the ratio of two neighbours in a grid exceeds this, another shape is put between them."""
 
@@ -346,7 +344,7 @@ def other_shapes(effect: Effect, found: Shape) -> Iterator[Shape]:
             continue  # an order is one or the other: there is nothing between
         grid = sorted(one for one in parameter.grid if one > 0.0)
         zero = [0.0] if 0.0 in parameter.grid else []
-        whole = [grid[0] / BEYOND, *grid, grid[-1] * BEYOND]
+        whole = [grid[0] / CLEARLY_LARGER, *grid, grid[-1] * CLEARLY_LARGER]
         between = [np.sqrt(a * b) for a, b in pairwise(whole) if b > WIDE * a]
         for one in (*zero, *sorted([*whole, *map(float, between)])):
             if one != value:

@@ -20,9 +20,8 @@ from scipy import ndimage, special
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
-from bench.diagnosis.levels import FAR, NEGLIGIBLE
-from bench.diagnosis.noise_kinds import LARGER
-from bench.diagnosis.posterior import BEYOND, Shape
+from bench.diagnosis.levels import CLEARLY_LARGER, FAR, NEGLIGIBLE
+from bench.diagnosis.posterior import Shape
 from bench.model.conditions import METER_REFERENCE_C, Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Effect, Seen
 from bench.model.geometry import Block
@@ -185,7 +184,7 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
     """Yield a sentence for each channel of `signal_v` (n, c) that seems to have another unit than the reference."""
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
-        if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
+        if level_v >= ZERO_V and not 1.0 / CLEARLY_LARGER < read_v / level_v < CLEARLY_LARGER:
             yield (
                 f"u{CHANNELS[channel]}_v is {read_v:.3g} V where {REFERENCE_V} is {level_v:.3g} V; check their "
                 "units in the mapping"
@@ -276,15 +275,15 @@ def _robust_means(deviation: Floats, groups: Sequence[Ints]) -> tuple[Floats, Fl
 def _relative(spread: Floats) -> Floats:
     """Return the relative white noise (n,) of the means, from the `spread` (n, c) of the readings in each.
 
-    It is uniform if the largest is less than `LARGER` times the smallest; else it is limited to a factor of
-    `LARGER` squared about the median. It is smoothed over a seventh of a full record.
+    It is uniform if the largest is less than `CLEARLY_LARGER` times the smallest; else it is limited to a factor of
+    `CLEARLY_LARGER` squared about the median. It is smoothed over a seventh of a full record.
     """
     middle = np.median(spread, axis=0)
     if np.any(middle == 0.0):
         return np.ones(len(spread))
     size = ndimage.median_filter(np.mean(spread / middle, axis=1), 2 * (BINS // 15) + 1, mode="reflect")
-    size = np.clip(size / np.median(size), LARGER**-2, LARGER**2)
-    return np.ones(len(size)) if size.max() < LARGER * size.min() else np.asarray(size)
+    size = np.clip(size / np.median(size), CLEARLY_LARGER**-2, CLEARLY_LARGER**2)
+    return np.ones(len(size)) if size.max() < CLEARLY_LARGER * size.min() else np.asarray(size)
 
 
 def _rails(readings: Readings) -> Iterator[Floats]:
@@ -325,7 +324,7 @@ def _shapes(record: Record, effect: Effect) -> list[Shape]:
     of_shape = [p for p in effect.parameters if p.is_shape]
     default = {p.name: p.default for p in of_shape}
     shapes = [default, *({**default, p.name: v} for p in of_shape for v in p.grid)]
-    shapes += [{**default, p.name: BEYOND * p.grid[-1]} for p in of_shape if p.unit != "1"]
+    shapes += [{**default, p.name: CLEARLY_LARGER * p.grid[-1]} for p in of_shape if p.unit != "1"]
     return list(dict.fromkeys(shape_of(effect, shape) for shape in shapes))
 
 

@@ -16,7 +16,7 @@ from scipy import linalg, special
 from bench.base.arrays import CHANNELS, Floats, least_squares, u_of
 from bench.diagnosis.candidates import Candidates, Variant
 from bench.diagnosis.evidence import NULLS, SEED, Scores, Threshold, fit_tail
-from bench.diagnosis.levels import INSEPARABLE, OFTEN, STEPS
+from bench.diagnosis.levels import HARDLY_EVER, INSEPARABLE, OFTEN, STEPS
 from bench.diagnosis.naming import MOST_EFFECTS, FoundEffect, Naming, holding, ranked_odds
 from bench.diagnosis.pipeline import effects_of
 from bench.diagnosis.posterior import Posterior, Shape
@@ -27,8 +27,6 @@ from bench.model.effects import CATALOGUE, AppliedEffect
 
 FINE: Final = 41
 """Number of values of a shape parameter over which its effect is averaged, all in the likely range."""
-FAINT: Final = 9.0
-"""A value is likely if ln of its likelihood is less than this below the maximum: within 4.2 normal u."""
 
 
 @dataclass(frozen=True)
@@ -303,7 +301,7 @@ class RecordWork:
             values = np.interp(np.linspace(low, high, FINE), np.arange(len(tried)), tried)
             shapes = [course._replace(shape=((name, value),)) for value in values.tolist()]
             log = self._scored(courses, number, shapes)[0]
-            inside = np.flatnonzero(log > log.max() - FAINT)
+            inside = np.flatnonzero(log > log.max() + np.log(HARDLY_EVER))
             if len(inside) > FINE / 2:
                 break
             ends = values[[max(inside[0] - 1, 0), min(inside[-1] + 1, len(values) - 1)]]

@@ -14,12 +14,13 @@ from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.languages import message
+from bench.base.text import LISTED_IN_SENTENCE
 from bench.config.model_file import UNNAMED
 from bench.diagnosis import candidates, evidence, gap, naming, noise_grid
 from bench.diagnosis.candidates import Candidates, in_volts
 from bench.diagnosis.evidence import Data, Whitened
 from bench.diagnosis.gap import Gap, folds_of, thirds_of
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, LISTED_IN_SENTENCE, MOSTLY, OFTEN
+from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER, MOSTLY, OFTEN
 from bench.diagnosis.linear import LinearSystem
 from bench.diagnosis.mistakes.search import MistakeSearch
 from bench.diagnosis.naming import FamilyOdds, Naming

@@ -13,9 +13,10 @@ from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.languages import message
+from bench.base.text import LISTED
 from bench.diagnosis.candidates import ROUND, Candidates, Variant, plausible_columns
 from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Search, Threshold, Whitened
-from bench.diagnosis.levels import ALIKE, BY_CHANCE, CHUNK, FAR, INSEPARABLE, LISTED, MARK_DEG, NEGLIGIBLE
+from bench.diagnosis.levels import ALIKE, BY_CHANCE, CHUNK, FAR, INSEPARABLE, MARK_DEG, NEGLIGIBLE
 from bench.diagnosis.linear import MODULUS, LinearSystem
 from bench.diagnosis.noise_grid import NoiseGrid, Whitener, make_whitener
 from bench.diagnosis.noise_kinds import TAIL_DOF

@@ -12,9 +12,9 @@ import numpy as np
 
 from bench.base.languages import message
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
-from bench.base.text import as_typed
+from bench.base.text import LISTED_IN_SENTENCE, as_typed
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
+from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
 from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of

@@ -15,9 +15,9 @@ from bench.base.arrays import Floats, rms
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
+from bench.base.text import LISTED_IN_SENTENCE
 from bench.calibration.result import COVERAGE_FACTOR
 from bench.diagnosis.gap import Gap
-from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_calibration import ChannelCalibration, Estimate, RecordCalibration
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
 from bench.diagnosis.record_model import Record

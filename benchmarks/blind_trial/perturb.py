@@ -24,8 +24,8 @@ from benchmarks.campaign import spread
 
 PART: Final = 0.3
 ROOM: Final = "bench.diagnosis"
-NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN"}
-"""Constants that have no size: numbers of channels and columns, seeds, and expectations.
+NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN", "KNOWN_SIZE"}
+"""Constants that have no size of their own: numbers of channels and columns, seeds, expectations, a tuple's entry.
 
 Another value would be wrong, not larger or smaller.
 """
