@@ -9,22 +9,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
-from drivers.angles import (
-    ROUNDING_RAD,
-    classic_slip,
-    format_dms,
-    parse_angle,
-    scale_text,
-    wrapped_rad,
-)
-from drivers.interfaces import (
-    BadReading,
-    Direction,
-    HeadPosition,
-    InstrumentRefused,
-    LimitExceeded,
-    message,
-)
+from drivers.angles import ROUNDING_RAD, classic_slip, format_dms, parse_angle, scale_text, wrapped_rad
+from drivers.interfaces import BadReading, Direction, HeadPosition, InstrumentRefused, LimitExceeded, message
 from drivers.person import APPROACH, AnsweredByInstrument, Prompt, PromptKind, ask_until, watching
 from drivers.wire.visa import ProvedInstrument, ProvedSession
 

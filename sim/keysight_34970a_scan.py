@@ -11,19 +11,7 @@ from drivers.facts import keysight_34970a as facts
 from drivers.facts.agilent_34401a import OVERLOAD_V
 from drivers.facts.keysight_34970a import MEMORY_READINGS, PAIRED
 from sim.scpi import Command
-from sim.scpi_values import (
-    DEF,
-    INF,
-    MAX,
-    MIN,
-    Boolean,
-    Choice,
-    Number,
-    ScpiError,
-    Value,
-    list_spans,
-    within,
-)
+from sim.scpi_values import DEF, INF, MAX, MIN, Boolean, Choice, Number, ScpiError, Value, list_spans, within
 from sim.voltmeters import (
     Function,
     FunctionSettings,

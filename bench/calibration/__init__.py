@@ -6,14 +6,7 @@ The check is in `bench.calibration.verification`.
 from bench.calibration.calibrate import calibrate
 from bench.calibration.estimators import ESTIMATORS
 from bench.calibration.mistakes import implausible
-from bench.calibration.result import (
-    Calibration,
-    CalibrationError,
-    Estimate,
-    LackOfFit,
-    Noise,
-    Outlier,
-)
+from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
 
 __all__ = [
     "ESTIMATORS",

@@ -27,22 +27,9 @@ from bench.calibration.free import first_guess_free, triangular
 from bench.calibration.gls import Estimator, WeightingTask
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, require_told
-from bench.calibration.observability import (
-    GAIN,
-    GRAVITY,
-    assumptions,
-    require_rank,
-    unseen_coefficients,
-)
+from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank, unseen_coefficients
 from bench.calibration.outliers import FittedRows
-from bench.calibration.result import (
-    Calibration,
-    CalibrationError,
-    Estimate,
-    LackOfFit,
-    Noise,
-    Outlier,
-)
+from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings

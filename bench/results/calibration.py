@@ -17,22 +17,10 @@ from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.estimators import find_estimator
 from bench.calibration.intrinsic import intrinsic_of
-from bench.calibration.result import (
-    COVERAGE_FACTOR,
-    NOT_DETERMINED,
-    Calibration,
-    Component,
-    Triangular,
-)
+from bench.calibration.result import COVERAGE_FACTOR, NOT_DETERMINED, Calibration, Component, Triangular
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
-from bench.results.parts import (
-    IntrinsicPart,
-    JointPart,
-    intrinsic_table,
-    joint_in_words,
-    joint_members,
-)
+from bench.results.parts import IntrinsicPart, JointPart, intrinsic_table, joint_in_words, joint_members
 
 
 class ValueMs2Part(ResultModel):

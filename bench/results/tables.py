@@ -13,16 +13,7 @@ from markupsafe import Markup
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, u_of
 from bench.base.languages import language, message, translated
-from bench.base.numbers import (
-    aligned,
-    concise,
-    fixed,
-    places,
-    quantity,
-    rounded,
-    scale_for,
-    uncertainty,
-)
+from bench.base.numbers import aligned, concise, fixed, places, quantity, rounded, scale_for, uncertainty
 from bench.base.template_texts import environment_for
 from bench.base.text import shown_path, visible
 from bench.calibration import Calibration, Estimate

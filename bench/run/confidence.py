@@ -18,6 +18,8 @@ CLEARLY: Final = 5.0
 """A mistake stops the run only if the misfit, V, is at least this multiple of the largest unexplained one."""
 BEYOND_EFFECTS_G: Final = 0.1
 """Largest misfit that an effect of the block may cause; larger unexplained ones do not count for `CLEARLY`."""
+LOST: Final = 3
+"""Number of consecutive misfits after which one beyond any effect stops the run, even if no mistake explains it."""
 
 
 class Confidence:
@@ -57,7 +59,8 @@ class Confidence:
         """Return whether to stop the run at a reading that does not fit and is explained by `causes`.
 
         `chi2` is that of the residuals, `off_v` their Euclidean norm, V. `in_a_row` is the number of consecutive
-        readings that did not fit.
+        readings that did not fit. Without an explanation, `LOST` of them stop the run if the last is beyond any
+        effect.
         """
         self._undecided = None
         somehow = [cause for cause in causes if cause.kind is Kind.EARLIER and cause.free]
@@ -65,7 +68,8 @@ class Confidence:
         only_before = somehow and all(cause.kind is Kind.EARLIER for cause in named)
         if not named or only_before or not all(cause.stops for cause in named):
             self._not_explained(off_v)
-            return False
+            lost = off_v > self._beyond_effects_v and in_a_row >= LOST and not self._silent
+            return lost and self._stopped_for(causes)
         if off_v < CLEARLY * self._unexplained_v or self._is_accepted(sighting, causes):
             return False
         significant = chi2 > self._sure

@@ -15,13 +15,14 @@ from scipy.special import chdtri
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.languages import message
+from bench.base.text import listed
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Plan, Read
 from bench.model.forward import ForwardModel
 from bench.model.geometry import Block
 from bench.readings.table import UNORIENTED, Reading, readings_of
 from bench.run.causes import Inquiry, Suspect, likeliest
-from bench.run.confidence import Confidence
+from bench.run.confidence import LOST, Confidence
 from bench.run.events import Event, EventType, Mounted
 from bench.run.expectation import (
     SETTING,
@@ -77,6 +78,10 @@ Place = tuple[int, str, int, int]
 TOLD_SIGMA: Final = 3.0
 """A warning names the channels whose residuals exceed this number of standard deviations."""
 
+
+STILL: Final = 10.0
+STILL_G: Final = 0.2
+"""A signal stays the same if it changes by less than 1/`STILL` of the change due, which is over `STILL_G` (g)."""
 
 MOST_LISTED: Final = 3
 """Greatest number of causes named in a sign; if there are more, the sign also states their number."""
@@ -331,7 +336,7 @@ class EarlyWarning:
         causes = likeliest([*of_reading, *of_run])
         self._in_a_row += 1
         chi2, off_v = float(judged.chi2[0]), float(np.linalg.norm(judged.residual[0]))
-        at_fault = None
+        at_fault, still = None, ""
         before = {cause.earlier for cause in causes}
         if len(before) == 1 and (earlier := before.pop()) is not None:
             at_fault = wrong = self._history[earlier]
@@ -341,13 +346,32 @@ class EarlyWarning:
             )
         else:
             causes = self._lasting(sighting, of_reading) or causes
-            confident = self._confidence.misfits(sighting, chi2, off_v, causes, self._in_a_row)
+            still = "" if causes else self._still()
+            confident = self._confidence.misfits(
+                sighting, chi2, off_v, causes, LOST if still else self._in_a_row
+            )
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
-        found = f"{_misfit(judged, channels)}; {_why(causes, at_fault)}"
+        found = f"{_misfit(judged, channels)}; {still or _why(causes, at_fault)}"
         text = message(f"the reading of {sighting.place} differs from the prediction: {found}")
         return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+
+    def _still(self) -> str:
+        """Return a phrase on the channels whose signals stay the same while the head turns, empty without any."""
+        last = self._history[-LOST:]
+        if len(last) < LOST:
+            return ""
+        seen = np.ptp([one.signal_v for one in last], axis=0) / self._scale
+        due = np.ptp([self._nominal.output(one.pose.force[0]) for one in last], axis=0) / self._scale
+        still = [
+            c for c, has, should in zip(CHANNELS, seen, due, strict=True) if STILL * has < should > STILL_G
+        ]
+        if not still:
+            return ""
+        return message(
+            f"the signal of {listed(still)} hardly changes while the head turns: check cable, voltmeter and supply"
+        )
 
     def _wrong_before(self, judged: ReadingJudgement) -> list[EarlySign]:
         """Return the sign that an undecided reading was wrong, if the present reading shows this; else []."""

@@ -239,7 +239,7 @@ def _signs(source: Source) -> list[_Named]:
     for row, one in enumerate(history.readings.values()):
         for sign in watcher.take(one):
             sure = sign.p < bound and sign.kinds and set(sign.kinds) <= {*Kind} - _MAY_BE_EFFECTS
-            if sign.confident and sign.wrong is not None:
+            if sign.confident and sign.kinds and sign.wrong is not None:
                 found[rows.get(sign.wrong, row)] = sign
             elif sure and sign.at_fault is None:
                 found[row] = sign

@@ -26,26 +26,8 @@ from bench.config.procedure.load import Procedure, check, load_procedure
 from bench.config.shipped import find_procedure
 from bench.run.assembly.served import Assembly, dry_bench, real_bench
 from bench.run.early_warning import EarlyWarning, watcher_of
-from bench.run.events import (
-    ENDED,
-    Event,
-    EventType,
-    Manifest,
-    RecordError,
-    RunState,
-    VerdictAsked,
-)
-from bench.run.folder import (
-    BENCH,
-    MODEL,
-    PLAN,
-    PROCEDURE,
-    Digests,
-    Run,
-    all_runs,
-    checked_name,
-    find_run,
-)
+from bench.run.events import ENDED, Event, EventType, Manifest, RecordError, RunState, VerdictAsked
+from bench.run.folder import BENCH, MODEL, PLAN, PROCEDURE, Digests, Run, all_runs, checked_name, find_run
 from bench.run.instruments import with_notes
 from bench.run.interrupts import Interrupts, stopped_by
 from bench.run.listening import Asker, ClockWatch, WishListener

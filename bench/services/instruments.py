@@ -21,12 +21,7 @@ from bench.config.bench_file.file import BenchFile, load_bench
 from bench.config.devices.sections import ChamberForm, HeadForm, SupplyForm
 from bench.model.forward import ForwardModel
 from bench.readings.table import Reading, readings_of
-from bench.results.records import (
-    CommissionedPart,
-    CommissionResult,
-    InstrumentPart,
-    render_commissioning,
-)
+from bench.results.records import CommissionedPart, CommissionResult, InstrumentPart, render_commissioning
 from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import HasScale, go_through
 from bench.run.commission.morning import MorningCourse

@@ -19,14 +19,7 @@ from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.plan import Read
 from bench.diagnosis.record_calibration import RecordCalibration, calibrate_record
-from bench.history.stability import (
-    Stability,
-    StaticRecord,
-    from_columns,
-    on_grid,
-    read_static,
-    stability_of,
-)
+from bench.history.stability import Stability, StaticRecord, from_columns, on_grid, read_static, stability_of
 from bench.readings.csv import split_table
 from bench.readings.table import REFERENCE_V, is_record
 from bench.results.known_input import (

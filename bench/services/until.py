@@ -32,14 +32,7 @@ from bench.model.conditions import Mounting
 from bench.model.effects import CATALOGUE
 from bench.model.forward import ForwardModel
 from bench.planning import optimal_design as design
-from bench.planning.choice import (
-    Chooser,
-    Standing,
-    TimeOutlook,
-    scale_of,
-    telling_apart,
-    time_outlook,
-)
+from bench.planning.choice import Chooser, Standing, TimeOutlook, scale_of, telling_apart, time_outlook
 from bench.planning.pool import (
     NO_GOAL,
     Aim,

@@ -9,14 +9,7 @@ from typing import Final
 import numpy as np
 
 from bench.readings.table import JoinedPart, Readings, make_readings, together
-from benchmarks.blind_trial.effects import (
-    BLOCK,
-    CATALOGUE,
-    CLASS_OF,
-    HIDDEN,
-    SEEN_IN_VERIFICATION,
-    STAND,
-)
+from benchmarks.blind_trial.effects import BLOCK, CATALOGUE, CLASS_OF, HIDDEN, SEEN_IN_VERIFICATION, STAND
 from benchmarks.blind_trial.free_positions import FREE, free_tables
 from benchmarks.blind_trial.mistakes import MISTAKES, SLIPS, Mistake
 from benchmarks.blind_trial.outside import (

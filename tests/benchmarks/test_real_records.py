@@ -11,13 +11,7 @@ from bench.diagnosis.record_model import make_record
 from bench.readings.csv import read_csv
 from benchmarks.real_records.__main__ import Row
 from benchmarks.real_records.cases import Case, cases, require_sealed
-from benchmarks.real_records.twins import (
-    SEED,
-    judged,
-    searched_with_the_noise_known,
-    simulated_v,
-    twin_of,
-)
+from benchmarks.real_records.twins import SEED, judged, searched_with_the_noise_known, simulated_v, twin_of
 from tests.support.known_inputs import switched_on
 
 

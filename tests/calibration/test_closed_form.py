@@ -7,12 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from bench.calibration import CalibrationError, Noise, calibrate
 from bench.calibration.closed_form import closed_form
-from bench.calibration.result import (
-    INVERSE,
-    MISALIGNMENTS,
-    inverse,
-    misalignments,
-)
+from bench.calibration.result import INVERSE, MISALIGNMENTS, inverse, misalignments
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2, Block
 from bench.readings.table import make_readings

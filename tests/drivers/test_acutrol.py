@@ -6,13 +6,7 @@ import pytest
 
 from drivers.facts import acutrol as facts
 from drivers.instruments.acutrol import AcutrolHead
-from drivers.interfaces import (
-    DividingHead,
-    HeadPosition,
-    Identity,
-    InstrumentLost,
-    InstrumentRefused,
-)
+from drivers.interfaces import DividingHead, HeadPosition, Identity, InstrumentLost, InstrumentRefused
 from drivers.motion import Travel
 from sim.acutrol import AcutrolTable
 from sim.wires.session import SILENCE, WireFault

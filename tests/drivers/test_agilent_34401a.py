@@ -3,12 +3,7 @@
 import pytest
 
 from drivers.instruments.agilent_34401a import Agilent34401A
-from drivers.interfaces import (
-    BadReading,
-    Identity,
-    InstrumentRefused,
-    VoltmeterSettings,
-)
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, VoltmeterSettings
 from drivers.wire.visa import SerialSettings
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped
 

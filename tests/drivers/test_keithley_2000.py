@@ -3,13 +3,7 @@
 import pytest
 
 from drivers.instruments.keithley_2000 import Keithley2000
-from drivers.interfaces import (
-    BadReading,
-    Identity,
-    InstrumentRefused,
-    Voltmeter,
-    VoltmeterSettings,
-)
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, Voltmeter, VoltmeterSettings
 from tests.support.scripted_session import Pairs, ScriptedSession
 
 OPENING: Pairs = [("*IDN?", "KEITHLEY INSTRUMENTS INC.,MODEL 2000,1308393,A20  /A02"), ("*CLS", None)]

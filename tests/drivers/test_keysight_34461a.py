@@ -3,12 +3,7 @@
 import pytest
 
 from drivers.instruments.keysight_34461a import Keysight34461A
-from drivers.interfaces import (
-    Identity,
-    LimitExceeded,
-    Voltmeter,
-    VoltmeterSettings,
-)
+from drivers.interfaces import Identity, LimitExceeded, Voltmeter, VoltmeterSettings
 from tests.support.scripted_session import Pairs, ScriptedSession
 
 IDENTITY = "Keysight Technologies,34461A,MY53200001,A.02.17-02.40-02.17-00.52-04-01"

@@ -5,13 +5,7 @@ import re
 import pytest
 
 from drivers.instruments.keysight_34970a import Keysight34970A
-from drivers.interfaces import (
-    BadReading,
-    InstrumentRefused,
-    LimitExceeded,
-    Voltmeter,
-    VoltmeterSettings,
-)
+from drivers.interfaces import BadReading, InstrumentRefused, LimitExceeded, Voltmeter, VoltmeterSettings
 from tests.support.scripted_session import Pairs, ScriptedSession, swapped
 
 TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)

@@ -4,12 +4,7 @@ import pytest
 
 from drivers.chambers import ChamberLimits
 from drivers.instruments.thermotron import ThermotronChamber
-from drivers.interfaces import (
-    BadReading,
-    Identity,
-    InstrumentRefused,
-    ThermalChamber,
-)
+from drivers.interfaces import BadReading, Identity, InstrumentRefused, ThermalChamber
 from tests.support.scripted_session import Clock, Pairs, ScriptedSession
 
 LIMITS = ChamberLimits(-40.0, 85.0, band_c=2.0)

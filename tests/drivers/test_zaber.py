@@ -9,13 +9,7 @@ import pytest
 from bench.base.arrays import ARCSEC
 from drivers.facts import zaber as facts
 from drivers.instruments.zaber import ZaberHead
-from drivers.interfaces import (
-    BadReading,
-    DividingHead,
-    HeadPosition,
-    Identity,
-    InstrumentRefused,
-)
+from drivers.interfaces import BadReading, DividingHead, HeadPosition, Identity, InstrumentRefused
 from sim.wires.session import WireFault
 from sim.zaber import ZaberStage
 from tests.support.motorised_heads import DEG, opened, travel

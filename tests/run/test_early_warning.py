@@ -446,3 +446,35 @@ def test_a_warning_can_be_recorded_and_read():
 def test_a_block_mounted_in_any_other_orientation_stops_the_run_by_the_third_reading(turned):
     forces = {"wired": lambda signal: np.linalg.solve(K, (signal - U0).T).T @ turned.T @ K.T + U0}
     assert any(sign.confident for _, sign in watch(run_of(0, **forces)[:3]))
+
+
+@pytest.mark.parametrize(("channel", "reads_v", "first"), [("x", 2.5, 3), ("y", 0.0, 28)])
+def test_a_channel_that_gives_one_voltage_at_every_angle_stops_the_run(channel, reads_v, first):
+    """In installation 1, no reading of y changes: that of its first reading in installation 2 should.
+
+    No mistake of a single reading explains this, and a run of such readings was measured to its end.
+    """
+
+    def wired(signal):
+        signal[:, "xyz".index(channel)] = reads_v
+        return signal
+
+    number, sign = next((number, sign) for number, sign in watch(run_of(1, wired=wired)) if sign.confident)
+    assert number == first
+    assert f"the signal of {channel} hardly changes while the head turns" in sign.sentence
+    assert sign.kinds == ()
+
+
+def test_readings_beyond_any_effect_stop_the_run_although_nothing_explains_them():
+    """A broken supply: y and z wander by 1 g. A person who goes on is not stopped again."""
+
+    def wired(signal):
+        signal[9:, 1:] += 2.0 * np.random.default_rng(7).normal(size=(N - 9, 2))
+        return signal
+
+    watcher, stops = EarlyWarning(NOMINAL, MODEL, BENCH_U), []
+    for number, row in enumerate(run_of(1, wired=wired), start=1):
+        stops += [number for sign in watcher.take(row) if sign.confident]
+        if stops[-1:] == [number]:
+            watcher.went_on()
+    assert stops == [12]

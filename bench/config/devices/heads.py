@@ -24,13 +24,7 @@ from bench.config.devices.device import (
     resource_on,
     serial_or_socket,
 )
-from bench.config.devices.sections import (
-    HeadTruth,
-    LevelForm,
-    MotorisedHeadForm,
-    ReadOutHeadForm,
-    SpeedRadS,
-)
+from bench.config.devices.sections import HeadTruth, LevelForm, MotorisedHeadForm, ReadOutHeadForm, SpeedRadS
 from drivers.facts import acutrol, mitutoyo_mux10, text_line, zaber
 from drivers.facts import heidenhain_nd28x as nd
 from drivers.facts import leica_nivel as nivel

@@ -36,13 +36,7 @@ from pydantic import (
 
 from bench.base.units import SizeRad
 from bench.config.devices import FOLDERS
-from bench.config.devices.device import (
-    WIRE_FACTS,
-    Device,
-    DeviceSection,
-    Role,
-    WiredForm,
-)
+from bench.config.devices.device import WIRE_FACTS, Device, DeviceSection, Role, WiredForm
 from bench.config.devices.sections import (
     SUPPLY_FACTS,
     VOLTMETER_FACTS,

@@ -3,12 +3,7 @@
 import pytest
 
 from benchmarks.blind_trial.cases import Row, make_case
-from benchmarks.blind_trial.score import (
-    NOT_SHRUNK,
-    can_tell,
-    judge,
-    nearest_rival,
-)
+from benchmarks.blind_trial.score import NOT_SHRUNK, can_tell, judge, nearest_rival
 from benchmarks.campaign import Share
 from tests.support.blind_cases import SEED, mistaken, said, single
 
