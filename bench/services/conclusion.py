@@ -29,7 +29,13 @@ from bench.services.bench_selection import SUFFIX, BenchTaken, bench_of, is_told
 from bench.services.calibration import CalibrationResult, calibration_of, report_page
 from bench.services.errors import Refused, refusing
 from bench.services.requests import measuring as asked
-from bench.services.requests.shared import devices_to_type, name_to_type, resume_to_type, runs_folder
+from bench.services.requests.shared import (
+    devices_to_type,
+    name_to_type,
+    resume_to_type,
+    runs_folder,
+    runs_to_type,
+)
 from bench.services.source import Request, Source, load_sources
 from bench.services.verification import VerificationResult
 from drivers.clock import utc_now
@@ -283,9 +289,7 @@ def _next(found: Conclusion) -> Iterator[str]:
         points = run_again(run, "verification") + " --dry-run" * run.simulated
         yield message(f"next: measure the verification points, {points}; then {then}")
     elif verification is not None and not verification.passed:
-        yield message(
-            f"next: {again.replace('bench run', 'bench budget', 1)}, which shows what makes U large"
-        )
+        yield message(f"next: {run_again(run, command='budget')}, which shows what makes U large")
     elif found.chart is not None and not found.chart.accepted:
         yield message(f"next: find the cause, then repeat the run: {again}")
     elif run.simulated:
@@ -296,12 +300,13 @@ def _next(found: Conclusion) -> Iterator[str]:
         yield message(f"next unit: {again} --unit SERIAL")
 
 
-def run_again(run: Run, procedure: str | None = None) -> str:
-    """Return the command that measures `procedure`, else that of `run`, on the bench of `run`."""
+def run_again(run: Run, procedure: str | None = None, command: str = "run") -> str:
+    """Return the command for `procedure`, else that of `run`, on the bench of `run` and into its folder of runs."""
     procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
     asked = run.manifest.get("bench_why") == "as asked for"
     bench = f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else ""
-    return f"bench run {procedure}{bench}{devices_to_type()}"
+    runs = runs_to_type(run.folder.parent) if command == "run" else ""
+    return f"bench {command} {procedure}{bench}{runs}{devices_to_type()}"
 
 
 def _typed(file: str, kind: str) -> str:

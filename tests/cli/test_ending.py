@@ -49,6 +49,14 @@ def test_after_a_real_run_the_certificate_and_the_next_unit_follow(concluded):
     assert lines[-1].endswith(" --unit SERIAL")
 
 
+def test_the_next_command_names_another_folder_of_runs(concluded):
+    """Typed as printed, it measured into ./runs, beside which the runs of the same unit were not found."""
+    shutil.move("runs", "their runs")
+    found = replace(concluded, run=Run(Path("their runs/finished")))
+    assert ending(found)[-1].endswith(" --runs 'their runs' --bench FILE")
+    assert ending(real(found))[-1].endswith(" --runs 'their runs' --unit SERIAL")
+
+
 def test_where_the_verification_fails_the_diagnosis_is_next(concluded):
     verdict = concluded.verification.verification
     points = tuple(replace(point, statement=Statement.FAIL, accepted_up_to=0.0) for point in verdict.points)

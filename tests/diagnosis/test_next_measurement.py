@@ -393,15 +393,18 @@ def test_nothing_follows_where_nothing_would_tell_more(bench, monkeypatch, tmp_p
 def test_on_real_instruments_the_person_is_asked(monkeypatch, tmp_path, answer, carried_out):
     fake_diagnosis(monkeypatch, "next.yaml")
     monkeypatch.setattr("sys.stdin", io.StringIO(answer))
-    monkeypatch.setattr(measure.printing, "console", lambda: Console(file=io.StringIO()))
+    told = io.StringIO()
+    monkeypatch.setattr(measure.printing, "console", lambda: Console(file=told, width=200))
     done = []
     monkeypatch.setattr(measure, "_measured", lambda request, _: (None, done.append(request) or 1))
-    run = SimpleNamespace(name="a", folder=tmp_path / "a", simulated=False)
+    manifest = {"bench": "mine.yaml", "bench_why": "as asked for"}
+    run = SimpleNamespace(name="a", folder=tmp_path / "a", simulated=False, manifest=manifest)
     status = measure._follow(run, RunRequest("first.yaml", until="all=1e-4"))
     assert [(one.procedure, one.name, one.until) for one in done] == [
         ("next.yaml", "a-2", None)
     ] * carried_out
     assert status == (1 if carried_out else 0)
+    assert carried_out or "measure it later with: bench run next.yaml --bench mine.yaml" in told.getvalue()
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """What `bench validate` compares of exported files."""
 
 import pytest
-from bench.validation.outputs import as_expected, expected
+from bench.validation.records import as_expected, expected
 
 
 @pytest.mark.parametrize("factor", [1.0, 1.0003])

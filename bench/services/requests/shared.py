@@ -109,7 +109,12 @@ def runs_folder(runs: str | Path | None) -> Path:
 
 def name_to_type(run: Path) -> str:
     """Return a run as a shell takes it: its name if it is in the default folder of runs, else its path."""
-    return as_typed(run.name if run.parent.absolute() == runs_folder(None).absolute() else run)
+    return as_typed(run if runs_to_type(run.parent) else run.name)
+
+
+def runs_to_type(folder: Path) -> str:
+    """Return the option `--runs` of a command that uses this folder of runs, empty if it is the default one."""
+    return "" if folder.absolute() == runs_folder(None).absolute() else f" --runs {as_typed(folder)}"
 
 
 def devices_to_type() -> str:
