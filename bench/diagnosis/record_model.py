@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage, special
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.levels import FAR, NEGLIGIBLE
@@ -149,16 +150,20 @@ def make_record(readings: Readings) -> Record:
     notes, warmth, rails = [], meter_c(readings.extra), list(_rails(readings))
     if warmth is None:
         notes.append(
-            f"no column {METER_C} or {ROOM_C}: the search excludes effects of the meter's temperature"
+            message(
+                f"no column {METER_C} or {ROOM_C}: the search excludes effects of the meter's temperature"
+            )
         )
     elif not any(map(str.strip, readings.extra.get(METER_C, ()))):
-        notes.append(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature")
+        notes.append(message(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature"))
     notes += _far_from_reference(readings.signal[:, channels], reference_v, channels)
     if begin:
         minutes = (time_s[first] - time_s[0]) / MINUTE
-        notes.append(f"the first {minutes:.0f} min are left out: the input had not settled")
+        notes.append(message(f"the first {minutes:.0f} min are left out: the input had not settled"))
     if left_out := int(np.sum(~used[first:])):
-        notes.append(f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out")
+        notes.append(
+            message(f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out")
+        )
 
     def mean(values: Floats) -> Floats:
         known = np.isfinite(values)

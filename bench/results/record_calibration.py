@@ -9,6 +9,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import rms
+from bench.base.languages import message
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
@@ -21,7 +22,7 @@ from bench.results.repeats import RepeatsPart, repeats_part, repeats_told
 from bench.results.stability import allan_figure, averaging_lines
 from bench.results.tables import page
 
-NO_VERDICT: Final = (
+NO_VERDICT: Final = message(
     "verdicts of |a| do not apply to a record at a known input, which has no acceleration; compare gain and offset "
     "with the specification of the meter"
 )
@@ -109,7 +110,7 @@ def _value(of: Estimate | None) -> ValuePart | None:
 def headline(found: RecordCalibration) -> str:
     """Return a line with the duration of the record, its voltage, and the meaning of the values."""
     record = found.record
-    return (
+    return message(
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h at {found.level_v:.6g} V, "
         "U = gain × reference + offset; ± is U, k = 2"
     )
@@ -120,14 +121,16 @@ def channel_lines(found: RecordCalibration) -> Iterator[str]:
     for one in found.channels:
         told = []
         if one.gain is not None:
-            told.append(f"gain = {concise(one.gain.value, one.gain.u)} (U = {2e6 * one.gain.u:.2g} ppm)")
+            told.append(
+                message(f"gain = {concise(one.gain.value, one.gain.u)} (U = {2e6 * one.gain.u:.2g} ppm)")
+            )
         if one.offset_v is not None:
-            told.append(f"offset = {_micro(one.offset_v)} µV")
+            told.append(message(f"offset = {_micro(one.offset_v)} µV"))
         told += [
-            f"drift = {_micro(one.drift_v_h)} µV/h",
-            f"residuals {quantity(rms(one.residual_v), 'V')} (rms)",
+            message(f"drift = {_micro(one.drift_v_h)} µV/h"),
+            message(f"residuals {quantity(rms(one.residual_v), 'V')} (rms)"),
         ]
-        yield f"channel {one.channel}: {', '.join(told)}"
+        yield message(f"channel {one.channel}: {', '.join(told)}")
 
 
 def _micro(of: Estimate) -> str:
@@ -150,7 +153,7 @@ def repeats_line(found: RecordCalibration) -> str:
     for (channel, unit), size in zip(shown, term.size.tolist(), strict=True) if term else ():
         told = f"{1e6 * size:.2g} ppm" if unit == "V/V" else quantity(size, "V")
         sizes.append(f"{channel} × {size:.2g}" if term and term.name == "scale" else f"{channel} {told}")
-    return repeats_told(found.repeats, "within the record", sizes)
+    return repeats_told(found.repeats, message("within the record"), sizes)
 
 
 def lines_of(found: RecordCalibration) -> list[str]:
@@ -189,7 +192,7 @@ def render_record_calibration(
     figures = [
         (
             course_figure(found.record.time_h, fits),
-            "Errors of the meters, and the residuals of gain, offset and drift.",
+            message("Errors of the meters, and the residuals of gain, offset and drift."),
         )
     ]
     if isinstance(noise, Stability):
@@ -197,13 +200,13 @@ def render_record_calibration(
         figures.append(
             (
                 allan_figure(noise, inline=True),
-                "Allan deviation and spectrum of the residuals, the drift included.",
+                message("Allan deviation and spectrum of the residuals, the drift included."),
             )
         )
     return page(
         "record.html.j2",
         title=title,
-        intro="A record at a known input: U = gain × reference + offset + drift for each channel.",
+        intro=message("A record at a known input: U = gain × reference + offset + drift for each channel."),
         simulated=simulated,
         source=provenance["source"],
         state="none",
