@@ -431,11 +431,6 @@ class NoiseKind:
     what: str
     words: str
 
-    @property
-    def headline(self) -> str:
-        """The part of `words` before the first colon."""
-        return self.words.partition(":")[0]
-
 
 def noise_kinds(
     linear: LinearSystem, noise: NoiseSize, digit: float, chosen: Mapping[str, str]

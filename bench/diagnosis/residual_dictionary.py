@@ -363,7 +363,7 @@ def _by_mounting(course: TimeCourse, visits: range) -> Iterator[TimeCourse]:
             message(f"{course.words}, of one mounting"),
             tuple(f"{text} * {_in_visit(visit)}" for text in course.expressions),
             narrow=True,
-            where=", ".join(filter(None, (course.where, f"mounting {visit}"))),
+            where=", ".join(filter(None, (course.where, message(f"mounting {visit}")))),
         )
 
 
@@ -428,7 +428,9 @@ def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
     passes = sorted(set(conditions.pass_number[angled].tolist()))
     visits = _visits(conditions)
     for visit in visits:
-        yield TimeCourse(message("one mounting"), (_in_visit(visit),), long=True, where=f"mounting {visit}")
+        yield TimeCourse(
+            message("one mounting"), (_in_visit(visit),), long=True, where=message(f"mounting {visit}")
+        )
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
         yield TimeCourse(message("one pass"), (alone,), long=True, where=f"pass {number}")
@@ -437,5 +439,5 @@ def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
                 message("one pass of one mounting"),
                 (f"{alone} * {_in_visit(visit)}",),
                 long=True,
-                where=f"pass {number} of mounting {visit}",
+                where=message(f"pass {number} of mounting {visit}"),
             )

@@ -11,12 +11,12 @@ from rich.console import Console
 from bench.base.languages import message, translated
 from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
-from bench.base.tables import print_notes
 from bench.diagnosis.confirm import Confirmation, EffectNow, Word
 from bench.diagnosis.gap import FLOOR
 from bench.diagnosis.result import Verdict
 from bench.diagnosis.show import label
 from bench.results import diagnosis_words as words
+from bench.results.diagnosis import print_notes
 from bench.results.parts import BenchPart, Corrections
 
 
@@ -111,7 +111,7 @@ def confirm_result(found: Confirmation, **made_from: Any) -> ConfirmResult:
 
 def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], out: Console) -> None:
     """Print notes, the verdict on each effect, and how far the model reduces the misfit of the readings."""
-    print_notes(out, notes)
+    print_notes(notes, out)
     for effect in found.effects:
         for line in effect_now_in_words(effect):
             out.print(line)

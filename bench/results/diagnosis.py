@@ -11,10 +11,11 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.computing import quiet
 from bench.base.languages import message, translated
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
-from bench.base.tables import print_notes, table
+from bench.base.tables import table
 from bench.base.text import as_typed
 from bench.diagnosis import Diagnosis, NamedEffect
 from bench.diagnosis.gap import Gap
@@ -37,6 +38,7 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
+from bench.results.form_words import form_in_words
 from bench.results.parts import BenchPart, CorrectionPart, Corrections, by_channel
 from bench.results.residuals import ResidualsPart, compared_residuals
 
@@ -379,8 +381,14 @@ def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) 
             out.print(f"report: {files.report}")
 
 
+def print_notes(notes: Iterable[str], out: Console, lead: str = "") -> None:
+    """Print notes unless `--quiet` is set, each translated as a whole; `lead` names the source among several."""
+    for note in () if quiet.get() else notes:
+        out.print(f"{translated(message('note'))}: {lead}{translated(note)}")
+
+
 def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
-    print_notes(out, [f"{lead}{note}" for note in full.diagnosis.notes])
+    print_notes(full.diagnosis.notes, out, lead)
     for row in full.skipped_rows:
         out.print(message(f"left out: {row}"))
 
@@ -449,7 +457,7 @@ def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) ->
 
 
 def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
-    lines = list(words.form_in_words(diagnosis))
+    lines = list(form_in_words(diagnosis))
     if not lines:
         return
     out.print(message("Form without a name:"), style="bold")

@@ -32,6 +32,7 @@ from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
 from bench.results import plots
 from bench.results.diagnosis_words import Files
+from bench.results.form_words import form_in_words
 from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
@@ -79,6 +80,7 @@ def render_diagnosis(
         residuals=_residuals(shown),
         in_time=in_time(shown),
         modulus=modulus_at_points(shown, limit_g) if shown.before.points else None,
+        form=list(form_in_words(diagnosis)),
         apart=_apart(diagnosis),
         catalogue=CATALOGUE,
         smallest=[

@@ -18,16 +18,14 @@ from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE, LISTED_IN_SENTENCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
-from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
+from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
     EffectValue,
     Findings,
-    FormTerm,
     FreeForm,
     NamedEffect,
-    UnexplainedScatter,
 )
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
 from bench.diagnosis.visibility import ResidualPattern
@@ -98,7 +96,7 @@ def by_clause(text: str) -> str:
 def _clause(text: str) -> str:
     """Return a clause; without a translation, a bracket or channels at its end are translated by themselves."""
     said = translated(text)
-    if said == text and (found := re.fullmatch(r"(.*?) \((.*)\)", text)):
+    if (said == text or "; " in text) and (found := re.fullmatch(r"(.*?) \((.*)\)", text)):
         return f"{_clause(found[1])} ({by_clause(found[2])})"
     if said == text and (found := _OF_CHANNELS.fullmatch(text)) and translated(found[1]) != found[1]:
         return f"{translated(found[1])}, {translated(message(f'channel {found[2]}'))}"
@@ -341,8 +339,11 @@ def surer_in_words(proposal: Proposal | None) -> str:
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model."""
-    yield from (kind.headline for kind in diagnosis.noise_kinds)
+    """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model.
+
+    Of unusual noise it is the part before the colon, already in the current language.
+    """
+    yield from (translated(kind.words).partition(":")[0] for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_IN_SENTENCE])
         more = (
@@ -557,75 +558,6 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     return [
         message(f"{name} (u {two_digits(times)} times)") for name, times in grown if times > MUCH_LESS_CERTAIN
     ]
-
-
-def term_in_words(term: FormTerm) -> str:
-    """Return a line such as "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
-    effect = term.effect
-    sizes = [parameter_in_words(size) for size in values_of((term.applied,)) if size.u is not None]
-    constants = [
-        f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
-        for p in effect.parameters
-        if p.is_shape
-    ]
-    formula, listed = f"{effect.name}: {effect.expression}", ", ".join([*sizes, *constants])
-    if not effect.adds_to:
-        return message(f"{formula}, added at the {effect.stage.value}; {listed}")
-    return message(f"{formula}, added to {effect.adds_to} at the {effect.stage.value}; {listed}")
-
-
-def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield lines on the terms that describe an unnamed effect; none if terms were not searched for."""
-    form = diagnosis.form
-    if form is None:
-        return
-    if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
-        yield message("no formula of the dictionary describes it")
-    if form.instead_of and form.terms:
-        yield message(f"as plausible as {', '.join(dict.fromkeys(form.instead_of))}, but without a name:")
-    elif form.instead_of:
-        yield message("the remaining residuals suggest an effect without a name; it is too small to describe")
-    for term in form.terms:
-        yield term_in_words(term)
-        also = "; ".join(term.could_also_be)
-        if also:
-            yield message(f"that is {term.family}; ρ = {term.rho:.1f}; other forms that fit: {also}")
-        else:
-            yield message(f"that is {term.family}; ρ = {term.rho:.1f}")
-    if form.terms and form.gap.folds:
-        closed = (
-            ""
-            if form.gap.closed is None
-            else message(f", which closes {100 * form.gap.closed:.0f} % of the gap")
-        )
-        yield message(
-            f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
-            f"the terms that the other readings show{closed}"
-        )
-    if form.terms and not form.predicts:
-        yield message(
-            "too little for a model file: the terms describe these readings but do not predict others"
-        )
-    if form.scatter is not None:
-        one = form.scatter
-        sizes = message(
-            f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
-        )
-        yield message(f"scatter without a form: {one.words}, {sizes}")
-    if form.terms or form.scatter is not None:
-        yield _dark_in_words(form.dark, form.unit)
-
-
-def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
-    if not np.isfinite(dark.upper):
-        return message("the unexplained scatter cannot be determined: all readings are repeats")
-    limit = message(f"less than {quantity(dark.upper, unit)} (95 %)")
-    if not dark.there:
-        return message(
-            f"the unexplained scatter of each reading is no larger than chance (p = {dark.p:.2g}): {limit}"
-        )
-    sizes = message(f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}")
-    return message(f"unexplained scatter (dark uncertainty): {sizes}")
 
 
 def dark_for_model(form: FreeForm) -> str | None:

@@ -14,7 +14,6 @@ from bench.base.arrays import rms
 from bench.base.languages import message, translated
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
-from bench.base.tables import print_notes
 from bench.base.text import as_typed
 from bench.diagnosis.free_records import OUTLIER, FreeDiagnosis
 from bench.diagnosis.show import CoefficientChange
@@ -22,7 +21,7 @@ from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results import diagnosis_page as pages
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis import print_effect, print_files, print_gap, print_verdict
+from bench.results.diagnosis import print_effect, print_files, print_gap, print_notes, print_verdict
 from bench.results.diagnosis_parts import AloneResult, CopyPart, FoundPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
 from bench.results.plots import BLUE, GREY, PASS_COLOURS, PASS_FILLS, VERMILION, legend_of, svg_figure
@@ -162,7 +161,7 @@ def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
             f"record{'s' if found.records > 1 else ''}: only |a| = 1 g is known of them"
         )
     )
-    print_notes(out, found.notes)
+    print_notes(found.notes, out)
     for text in found.apart:
         out.print(message(f"Mistake: {OUTLIER}: {apart_in_words(text)}"), style="bold")
     for place in found.where:

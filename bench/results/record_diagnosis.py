@@ -12,13 +12,12 @@ from bench.base.arrays import Floats, rms
 from bench.base.languages import message
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import ResultModel
-from bench.base.tables import print_notes
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import LISTED_IN_SENTENCE
 from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
 from bench.diagnosis.record_model import Record
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis import print_effect, print_files, print_verdict
+from bench.results.diagnosis import print_effect, print_files, print_notes, print_verdict
 from bench.results.diagnosis_page import render_alone
 from bench.results.diagnosis_parts import AloneResult, EffectPart, GapPart, gap_part
 from bench.results.diagnosis_words import NO_FILES, Files
@@ -143,7 +142,7 @@ def print_found(found: RecordDiagnosis, files: Files, out: Console) -> None:
             f"channel{'s' if len(record.channels) > 1 else ''} {', '.join(fit.channel for fit in found.fits)}"
         )
     )
-    print_notes(out, found.notes)
+    print_notes(found.notes, out)
     for one in found.effects:
         print_effect(one, (), out)
     for line in (*channel_lines(found), rivals_told(found), gap_told(found)):
