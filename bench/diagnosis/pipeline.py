@@ -510,7 +510,7 @@ class MistakesAlone:
     reason: str
 
 
-UNEXPLAINED: Final = (
+UNEXPLAINED: Final = message(
     "no mistake or effect that 'bench diagnose' knows explains them; correct these rows in the readings file (of a "
     "run, that of 'bench export --csv') or delete them, and diagnose the file"
 )

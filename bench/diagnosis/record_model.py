@@ -191,7 +191,7 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
         if level_v >= ZERO_V and not 1.0 / LARGER < read_v / level_v < LARGER:
-            yield (
+            yield message(
                 f"u{CHANNELS[channel]}_v is {read_v:.3g} V where {REFERENCE_V} is {level_v:.3g} V; check their "
                 "units in the mapping"
             )
@@ -203,10 +203,12 @@ def without_noise(record: Record) -> Iterator[str]:
     least = NEGLIGIBLE * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
     for name in still:
-        yield f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
+        yield message(
+            f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
+        )
     for (one, a), (other, b) in combinations(zip(names, left.T, strict=True), 2):
         if not still and np.ptp(a - b) <= least:
-            yield f"{one} and {other} have the same noise; give the readings of one meter once"
+            yield message(f"{one} and {other} have the same noise; give the readings of one meter once")
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
@@ -236,25 +238,27 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     """Return times, reference voltages and the channels read. Raises `CalibrationError` with all that is wrong."""
     wrong = []
     if readings.unit != "V":
-        wrong.append(f"the signals are in {readings.unit}; give a record in volts (ux_v)")
+        wrong.append(message(f"the signals are in {readings.unit}; give a record in volts (ux_v)"))
     if not np.isfinite(readings.time_s).all():
         row = int(np.argmin(np.isfinite(readings.time_s))) + 1
-        wrong.append(f"time_s is empty in row {row}; fill it in, or delete the row")
+        wrong.append(message(f"time_s is empty in row {row}; fill it in, or delete the row"))
     elif np.any(back := np.diff(readings.time_s) < 0.0):
         wrong.append(
-            f"time_s runs backwards in row {int(np.argmax(back)) + 2}; if the clock was put back, give times in "
-            "UTC, otherwise sort the rows"
+            message(
+                f"time_s runs backwards in row {int(np.argmax(back)) + 2}; if the clock was put back, give times "
+                "in UTC, otherwise sort the rows"
+            )
         )
     elif readings.time_s[-1] == readings.time_s[0]:
-        wrong.append("time_s is the same in all rows; state the time of each reading")
+        wrong.append(message("time_s is the same in all rows; state the time of each reading"))
     known = readings.extra.get(REFERENCE_V)
     reference_v = np.full(len(readings), np.nan) if known is None else numbers(known)
     if not np.isfinite(reference_v).all():
         row = int(np.argmin(np.isfinite(reference_v))) + 1
-        wrong.append(f"{REFERENCE_V} is empty in row {row}; fill in the voltage at the inputs")
+        wrong.append(message(f"{REFERENCE_V} is empty in row {row}; fill in the voltage at the inputs"))
     channels = [i for i in range(3) if np.isfinite(readings.signal[:, i]).all()]
     if not channels:
-        wrong.append("no signal column is complete; delete the rows with empty signals")
+        wrong.append(message("no signal column is complete; delete the rows with empty signals"))
     if wrong:
         raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
     return readings.time_s, reference_v, channels
