@@ -12,7 +12,7 @@ from rich.segment import Segment
 from rich.table import Table
 
 from bench.base.computing import quiet
-from bench.base.languages import translated
+from bench.base.languages import message, translated
 from bench.base.text import visible
 
 WIDTH: Final = 120
@@ -53,11 +53,13 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
     return made
 
 
-def print_notes(out: Console, notes: Iterable[str]) -> None:
-    """Print notes below a result, unless `--quiet` is set; the JSON and the page always contain the notes."""
-    if not quiet.get():
-        for note in notes:
-            out.print(f"note: {note}")
+def print_notes(out: Console, notes: Iterable[str], lead: str = "") -> None:
+    """Print the notes of a result, each translated as a whole, unless `--quiet` is set; JSON and page have them.
+
+    `lead` names the source among several.
+    """
+    for note in () if quiet.get() else notes:
+        out.print(f"{translated(message('note'))}: {lead}{translated(note)}")
 
 
 def as_text(print_on: Callable[[Console], None]) -> str:

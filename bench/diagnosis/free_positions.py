@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special, stats
 
 from bench.base.arrays import Floats, Ints
+from bench.base.languages import message
 from bench.base.text import LISTED
 from bench.calibration.design import FIXED, UPPER
 from bench.calibration.result import CalibrationError
@@ -98,7 +99,7 @@ def diagnose_free(
         between=between,
         where=_where(linear, whitened, naming, noise),
         notes=(
-            *(f"{one.words}, and stays in" for one in far_readings(linear, columns, noise)),
+            *(message(f"{one.words}, and stays in") for one in far_readings(linear, columns, noise)),
             *(note for table in rows.tables for note in table.notes),
         ),
     )
@@ -145,7 +146,7 @@ def _where(
         own = white[(rows.sensor == sensor) & (rows.record == record)]
         p = float(special.chdtrc(len(own), float(own @ own) / noise.reading**2))
         size = float(np.sqrt(np.mean(own**2)))
-        pattern = f"sensor {sensor + 1}, record {record + 1}"
+        pattern = message(f"sensor {sensor + 1}, record {record + 1}")
         places.append(ResidualPattern("modulus", FREE, pattern, size, "g", min(1.0, p * len(cells)), p))
     shown = [place for place in places if place.p < BY_CHANCE]
     return tuple(sorted(shown, key=lambda place: -place.size)[:LISTED])
@@ -155,7 +156,7 @@ def _where(
 
 FINE_G: Final = 10e-6
 """Noise of a sensor, g, up to which the plausible sizes of the catalogue apply; they grow with larger noise."""
-COMMON: Final = "common to the sensors"
+COMMON: Final = message("common to the sensors")
 
 
 def _candidates(linear: FreeSystem, sigma: float) -> Candidates:
@@ -267,10 +268,13 @@ def without_outliers(rows: FreeRows) -> tuple[FreeRows, tuple[str, ...], Ints]:
         if t[row] < 2.0 * FAR or 2.0 * float(stats.t.sf(t[row], freedom)) * len(rows) > HARDLY_EVER:
             break
         table, at = rows.tables[rows.sensor[row]], int(np.sum(rows.sensor[:row] == rows.sensor[row]))
+        place = f"{rows.place(row)}pass {table.pass_number[at]}, " + message(f"point {table.point[at]}")
         apart.append(
-            f"{rows.place(row)}pass {table.pass_number[at]}, point {table.point[at]}: |a| is "
-            f"{left[row] / free[row] * 1e3:+.3g} mg off what the others let expect ({t[row]:.1f} standard "
-            "deviations); not at rest? It is left out"
+            f"{place}: "
+            + message(
+                f"|a| is {left[row] / free[row] * 1e3:+.3g} mg off what the others let expect ({t[row]:.1f} "
+                "standard deviations); not at rest? It is left out"
+            )
         )
         origin.append(rows.origin[row])
         rows = rows.without(np.arange(len(rows)) == row)

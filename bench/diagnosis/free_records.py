@@ -11,6 +11,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
+from bench.base.languages import message
 from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import effects_without_data, first_guess_free
 from bench.calibration.result import CalibrationError
@@ -326,16 +327,18 @@ class BetweenRecords:
     def in_words(self) -> str:
         """Return a sentence on how much the biases change, and whether the sensors change together."""
         sizes = ", ".join(f"{c} {size * 1e3:.2g} mg" for c, size in zip(CHANNELS, self.scatter, strict=True))
-        text = f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})"
+        text = message(f"repeats between records scatter {self.repeats.scatter:.3g} × u ({sizes})")
         shared = zip(CHANNELS, self.common, strict=True)
         parts = [f"{c} {100 * part:.0f} %" for c, part in shared if part >= MOSTLY]
         if np.all(np.isnan(self.common)):
-            text += "; of one sensor nothing says whether others would change alike"
+            text = message(f"{text}; of one sensor nothing says whether others would change alike")
         elif parts:
-            text += f"; the change is common to the sensors ({', '.join(parts)} of its variance)"
+            text = message(
+                f"{text}; the change is common to the sensors ({', '.join(parts)} of its variance)"
+            )
         else:
-            text += "; each sensor changes by itself"
-        return f"{text}; the cause is not determined"
+            text = message(f"{text}; each sensor changes by itself")
+        return message(f"{text}; the cause is not determined")
 
 
 def between_records(rows: FreeRows) -> BetweenRecords | None:

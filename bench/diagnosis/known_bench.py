@@ -12,7 +12,7 @@ from bench.readings.columns import METER_C, ROOM_C, meter_c
 from bench.readings.table import Readings
 
 OF_METER_WARMTH: Final = ("voltmeter_thermal_gain", "voltmeter_thermal_offset")
-NO_METER_C: Final = f"the readings have no column {METER_C} or {ROOM_C}"
+NO_METER_C: Final = message(f"the readings have no column {METER_C} or {ROOM_C}")
 OF_RECORDS: Final = ("voltmeter_move", "reference_supply")
 
 
@@ -46,16 +46,18 @@ class KnownBench:
         fixed, said = self.fixed_ranges, message("the bench file has fixed ranges")
         recorded = _ranges(readings)
         if recorded:
-            fixed, said = len(recorded) == 1, "all readings were taken on one range"
+            fixed, said = len(recorded) == 1, message("all readings were taken on one range")
         why = {
             "range_offset": said if fixed else "",
             "channel_crosstalk": message("each channel has a voltmeter of its own")
             if self.own_meters
             else "",
-            "meters_exchanged": "one voltmeter reads all channels" if self.own_meters is False else "",
-            "backlash": "the head's scale sits on the axis itself" if self.scale_on_axis else "",
+            "meters_exchanged": message("one voltmeter reads all channels")
+            if self.own_meters is False
+            else "",
+            "backlash": message("the head's scale sits on the axis itself") if self.scale_on_axis else "",
             **dict.fromkeys(OF_METER_WARMTH, "" if meter_c(readings.extra) is not None else NO_METER_C),
-            **dict.fromkeys(OF_RECORDS, "searched only in records at a known input"),
+            **dict.fromkeys(OF_RECORDS, message("searched only in records at a known input")),
         }
         return {name: why[name] for name in CATALOGUE if why.get(name)}
 
@@ -70,7 +72,7 @@ class KnownBench:
         names = [name for name in CATALOGUE if unknown.get(name)]
         if not names:
             return ""
-        return (
+        return message(
             f"no bench file was named, so the search includes {', '.join(names)}, which not every bench can have; "
             "--bench FILE states its meters and head"
         )

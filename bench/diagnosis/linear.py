@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.base.languages import message
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
 from bench.diagnosis.levels import FAR, ONE_DIRECTION
@@ -44,11 +45,13 @@ class Orientation:
     def in_words(self) -> str:
         """Return a sentence that says how far the orientation is from the bench file, and what to correct."""
         axis = ", ".join(f"{part:+.2f}" for part in self.axis)
-        remedy = "correct 'installations: V', or name another file with --bench"
+        remedy = message("correct 'installations: V', or name another file with --bench")
         if self.head_rad is not None:
-            off = f"{np.degrees(self.head_rad):+.3g}° from where it says at these points"
-            remedy = f"if the head stood {off}, correct their angles; otherwise {remedy}"
-        return (
+            remedy = message(
+                f"if the head stood {np.degrees(self.head_rad):+.3g}° from where it says at these points, correct "
+                f"their angles; otherwise {remedy}"
+            )
+        return message(
             f"the verification points contradict the bench file: by their signals the block is turned by "
             f"{np.degrees(self.off_rad):.3g}° about ({axis}) of its axes from the orientation that installation V "
             f"states; {remedy}"

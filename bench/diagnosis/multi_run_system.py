@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.base.languages import message
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import make_problem
 from bench.calibration.result import CalibrationError
@@ -181,12 +182,16 @@ def _differs(one: Block, other: Block) -> bool:
 
 def _told(readings: Readings, block: Ints) -> Iterator[str]:
     series = [
-        f"block {number + 1}: series {', '.join(str(s) for s in np.unique(readings.series[block == number]))}"
+        message(
+            f"block {number + 1}: series "
+            f"{', '.join(str(s) for s in np.unique(readings.series[block == number]))}"
+        )
         for number in np.unique(block)
     ]
-    yield (
-        f"the coefficients say that these are {len(series)} blocks ({'; '.join(series)}): each has coefficients of "
-        "its own, the stand and the meters are the same for all; --one-block says that they are one"
+    yield message(
+        f"the coefficients say that these are {len(series)} blocks ({'; '.join(series)}): each has "
+        "coefficients of its own, the stand and the meters are the same for all; "
+        "--one-block says that they are one"
     )
 
 

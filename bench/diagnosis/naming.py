@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
 from bench.diagnosis.levels import BY_CHANCE, FARTHEST, INSEPARABLE, NEGLIGIBLE, OFTEN
@@ -412,7 +413,7 @@ def same_signature(naming: Naming) -> Iterator[str]:
     for one in naming.found:
         if one.same:
             at = f" in {', '.join(one.variant.mounts)}" if one.variant.mounts else ""
-            yield (
-                f"{one.variant.family}{at} and {', '.join(one.same)} have the same signature in these readings, "
-                "which cannot separate them at any size"
+            yield message(
+                f"{one.variant.family}{at} and {', '.join(one.same)} have the same signature in these "
+                "readings, which cannot separate them at any size"
             )

@@ -289,11 +289,13 @@ class _Bill:
             if problems:
                 self.left_out[procedure.name] = problems[0]
             elif len(procedure.files) > 1:
-                self.left_out[procedure.name] = "it includes other files"
+                self.left_out[procedure.name] = message("it includes other files")
             elif not in_volts and any(
                 isinstance(s, Read) and s.installation in UNORIENTED for s in procedure.plan.steps
             ):
-                self.left_out[procedure.name] = "it reads voltages, and the readings are in another unit"
+                self.left_out[procedure.name] = message(
+                    "it reads voltages, and the readings are in another unit"
+                )
             else:
                 yield path, procedure.plan
 

@@ -194,7 +194,9 @@ class LocalScatter:
     @property
     def words(self) -> str:
         """The channel and the installation or pass, in words."""
-        return f"channel {self.channel}, {self.where or 'everywhere'}"
+        if not self.where:
+            return message(f"channel {self.channel}, everywhere")
+        return f"channel {self.channel}, {self.where}"
 
 
 def larger_scatter(linear: LinearSystem, left: Floats) -> LocalScatter | None:
@@ -428,11 +430,6 @@ class NoiseKind:
 
     what: str
     words: str
-
-    @property
-    def headline(self) -> str:
-        """The part of `words` before the first colon."""
-        return self.words.partition(":")[0]
 
 
 def noise_kinds(

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.base.text import LISTED, LISTED_IN_SENTENCE
 from bench.calibration.design import FIXED
 from bench.calibration.result import CalibrationError, DeviatingReadings
@@ -151,8 +152,10 @@ def diagnose(
             *(finding.words for finding in findings),
             *(kind.words for kind in kinds),
             *(
-                f"left out of the model: {one.variant.family} (ln odds {one.total:.1f}), because held-out "
-                "readings do not confirm it; more passes may"
+                message(
+                    f"left out of the model: {one.variant.family} (ln odds {one.total:.1f}), because held-out "
+                    "readings do not confirm it; more passes may"
+                )
                 for one in weak
             ),
             *assumed(linear),
@@ -357,7 +360,7 @@ def _mostly_in(
     square = (candidates.columns[:, list(variant.sizes)] @ amplitudes) ** 2
     of_channel = [float(square[linear.rows.channel == c].sum()) for c in range(len(CHANNELS))]
     most = int(np.argmax(of_channel))
-    return f"mostly in channel {CHANNELS[most]}" if of_channel[most] > MOSTLY * square.sum() else ""
+    return message(f"mostly in channel {CHANNELS[most]}") if of_channel[most] > MOSTLY * square.sum() else ""
 
 
 def _in_words(variant: Variant, mostly_in: str) -> str:
@@ -508,7 +511,7 @@ class MistakesAlone:
     reason: str
 
 
-UNEXPLAINED: Final = (
+UNEXPLAINED: Final = message(
     "no mistake or effect that 'bench diagnose' knows explains them; correct these rows in the readings file (of a "
     "run, that of 'bench export --csv') or delete them, and diagnose the file"
 )

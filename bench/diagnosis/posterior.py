@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
 from bench.diagnosis.evidence import KNOWN_SIZE, LOG_SIZE_WEIGHTS, SIZES, Data, Search, Whitened
@@ -233,7 +234,7 @@ def common_volts(naming: Naming, fitted: Posterior, linear: LinearSystem) -> Ite
         # three insignificant sizes are always equal
         each = special.chdtrc(1, volts**2 / np.diag(covariance))
         if np.all(each < HARDLY_EVER) and special.chdtrc(2, chi2) > OFTEN:
-            yield (
+            yield message(
                 f"{variant.family} is the same voltage in all three channels within its u: that points at what "
                 "they share (the voltmeters' zero, the supply, the wiring), not at three accelerometers; a shorted "
                 "input in each pass tells"

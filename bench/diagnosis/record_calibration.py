@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import softmax
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
+from bench.base.languages import message
 from bench.calibration.budget.coefficients import unknown_courses
 from bench.calibration.budget.error_source import ErrorSource
 from bench.calibration.result import CalibrationError
@@ -173,9 +174,9 @@ def _shapes_kept(record: Record, effects: Sequence[AppliedEffect]) -> Iterator[s
     for one in effects:
         shape = shape_of(one.effect, one.complete_values())
         if one.u and shape and len(forms_of(record, one.effect, shape)) > 1:
-            yield (
-                f"{one.effect.name} keeps {one.shapes_text()} of the model; u leaves out the uncertainty of this "
-                "shape, which no model file states"
+            yield message(
+                f"{one.effect.name} keeps {one.shapes_text()} of the model; u leaves out the uncertainty of "
+                "this shape, which no model file states"
             )
 
 
@@ -295,7 +296,9 @@ def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...
     known = np.zeros(0) if cells is None else np.isfinite(numbers(cells))
     if cells is None or not known.any():
         return np.zeros(len(record)), (
-            f"{REFERENCE_V} counts as exact, as {REFERENCE_SD_V} is missing; u holds no error of the reference",
+            message(
+                f"{REFERENCE_V} counts as exact, as {REFERENCE_SD_V} is missing; u holds no error of the reference"
+            ),
         )
     sd = np.interp(record.conditions.time_s, readings.time_s[known], numbers(cells)[known])
     return sd, ()
@@ -337,15 +340,15 @@ def _of_hidden(record: Record, source: ErrorSource) -> Iterator[Floats]:
 
 def _hidden(record: Record, level: float) -> Iterator[str]:
     if record.ramp:
-        yield (
-            "gain: the reference changes linearly with time, so that an error of the gain looks like a drift; the "
-            "gain counts as 1, and u includes its error; step the reference up and down to determine it"
+        yield message(
+            "gain: the reference changes linearly with time, so that an error of the gain looks like a drift; "
+            "the gain counts as 1, and u includes its error; step the reference up and down to determine it"
         )
         return
     if abs(level) < ZERO_V:
-        yield f"gain: the reference stays at {level:.3g} V; record a second level to determine it"
+        yield message(f"gain: the reference stays at {level:.3g} V; record a second level to determine it")
         return
-    yield (
-        f"offset: the reference stays at {level:.6g} V, where 1 µV of offset is {1e-6 / abs(level):.2g} of gain; "
-        "the offset counts as 0; record a short circuit or a second level to determine it"
+    yield message(
+        f"offset: the reference stays at {level:.6g} V, where 1 µV of offset is {1e-6 / abs(level):.2g} of "
+        "gain; the offset counts as 0; record a short circuit or a second level to determine it"
     )

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats, Mask, least_squares, rms
+from bench.base.languages import message
 from bench.diagnosis.candidates import SLOW_IN_TIME, Variant
 from bench.diagnosis.evidence import Threshold
 from bench.diagnosis.gap import Fold, Gap, HeldOut
@@ -26,11 +27,11 @@ from bench.diagnosis.visibility import ResidualPattern
 from bench.model.effects import AppliedEffect
 from bench.readings.table import REFERENCE, Readings
 
-GAIN_FITTED: Final = (
+GAIN_FITTED: Final = message(
     "the reference has several levels: the gain of each channel is fitted together with zero and drift; 'bench "
     "calibrate' gives it"
 )
-GAIN_IN_DRIFT: Final = (
+GAIN_IN_DRIFT: Final = message(
     "the reference changes linearly with time: zero and drift contain the error of the gain, but their u leaves it "
     "out"
 )
@@ -139,12 +140,12 @@ def _far(work: RecordWork, courses: Sequence[Variant], noises: Sequence[Noise]) 
             if 2.0 * float(special.ndtr(-white[row])) * work.signal.size < BY_CHANCE:
                 found.append((float(white[row]), channel, float(work.record.time_h[row])))
     for size, channel, at in sorted(found, key=lambda one: -one[0]):
-        yield f"channel {channel} at {at:.2f} h jumps by {size:.0f} u"
+        yield message(f"channel {channel} at {at:.2f} h jumps by {size:.0f} u")
 
 
 def _unnamed(find: FoundEffect, why: str, limit: Threshold) -> NamedEffect:
     """Return an unnamed effect to report in place of one that held-out readings do not confirm."""
-    words = f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}"
+    words = message(f"{UNNAMED_WORDS[SLOW_IN_TIME]}: {find.variant.family} would explain it, but {why}")
     return NamedEffect.unnamed(SLOW_IN_TIME, limit.p(find.total), words, find.odds)
 
 
@@ -180,9 +181,11 @@ def why_unconfirmed(gap: Gap) -> dict[str, str]:
     """Return the names of the effects that held-out excursions do not confirm, each with the reason."""
     gains = {name: [fold.gains[name] for fold in gap.folds if name in fold.gains] for name in gap.unconfirmed}
     return {
-        name: f"held-out readings do not confirm it (chi-square falls by {sum(each):.1f} in total)"
+        name: message(f"held-out readings do not confirm it (chi-square falls by {sum(each):.1f} in total)")
         if each
-        else "there is one excursion of what it follows; a second one, at another time, would confirm it"
+        else message(
+            "there is one excursion of what it follows; a second one, at another time, would confirm it"
+        )
         for name, each in gains.items()
     }
 
@@ -200,8 +203,8 @@ def _excursions(work: RecordWork, course: Variant) -> Iterator[tuple[str, Mask]]
             driver = conditions.above_nominal_v[:, round(dict(course.shape)["rail"]) - 1]
         case _:
             turn = np.arange(len(record)) // FOLDS % 2
-            for number, which in enumerate(("first", "next")):
-                yield f"every other {FOLDS} means, from the {which}", turn == number
+            for number, which in enumerate((message("first"), message("next"))):
+                yield message(f"every other {FOLDS} means, from the {which}"), turn == number
             return
     from_rest = driver - _rest(driver)
     side = np.where(np.abs(from_rest) > PLATEAU * np.ptp(driver), np.sign(from_rest), 0.0)
@@ -269,7 +272,7 @@ def _rivals(work: RecordWork, finds: Sequence[FoundEffect], noises: Sequence[Noi
     others = [one.variant for one in finds if one is not thermal]
     family = work.shapes_of(thermal.variant.family)
     kinds = {
-        "at once": [c for c in family if not c.shape],
+        message("at once"): [c for c in family if not c.shape],
         "lag": [c for c in family if "lag" in dict(c.shape)],
         "hysteresis": [c for c in family if "width" in dict(c.shape)],
     }

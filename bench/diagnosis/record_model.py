@@ -18,6 +18,7 @@ import numpy as np
 from scipy import ndimage, special
 
 from bench.base.arrays import CHANNELS, HOUR, MINUTE, Floats, Ints, Mask, least_squares
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates, Column, Variant
 from bench.diagnosis.levels import CLEARLY_LARGER, FAR, NEGLIGIBLE
@@ -148,16 +149,20 @@ def make_record(readings: Readings) -> Record:
     notes, warmth, rails = [], meter_c(readings.extra), list(_rails(readings))
     if warmth is None:
         notes.append(
-            f"no column {METER_C} or {ROOM_C}: the search excludes effects of the meter's temperature"
+            message(
+                f"no column {METER_C} or {ROOM_C}: the search excludes effects of the meter's temperature"
+            )
         )
     elif not any(map(str.strip, readings.extra.get(METER_C, ()))):
-        notes.append(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature")
+        notes.append(message(f"the temperature of the room ({ROOM_C}) is used as the meter's temperature"))
     notes += _far_from_reference(readings.signal[:, channels], reference_v, channels)
     if begin:
         minutes = (time_s[first] - time_s[0]) / MINUTE
-        notes.append(f"the first {minutes:.0f} min are left out: the input had not settled")
+        notes.append(message(f"the first {minutes:.0f} min are left out: the input had not settled"))
     if left_out := int(np.sum(~used[first:])):
-        notes.append(f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out")
+        notes.append(
+            message(f"{left_out} of {len(readings)} readings lie far from their neighbours and are left out")
+        )
 
     def mean(values: Floats) -> Floats:
         known = np.isfinite(values)
@@ -185,7 +190,7 @@ def _far_from_reference(signal_v: Floats, reference_v: Floats, channels: Sequenc
     level_v = float(np.median(np.abs(reference_v)))
     for channel, read_v in zip(channels, np.median(np.abs(signal_v), axis=0).tolist(), strict=True):
         if level_v >= ZERO_V and not 1.0 / CLEARLY_LARGER < read_v / level_v < CLEARLY_LARGER:
-            yield (
+            yield message(
                 f"u{CHANNELS[channel]}_v is {read_v:.3g} V where {REFERENCE_V} is {level_v:.3g} V; check their "
                 "units in the mapping"
             )
@@ -197,10 +202,12 @@ def without_noise(record: Record) -> Iterator[str]:
     least = NEGLIGIBLE * float(np.abs(record.deviation_v + record.reference_v[:, None]).max())
     still = [name for name, one in zip(names, left.T, strict=True) if np.ptp(one) <= least]
     for name in still:
-        yield f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
+        yield message(
+            f"{name} minus {REFERENCE_V} has no noise; give the readings with all digits of the meter"
+        )
     for (one, a), (other, b) in combinations(zip(names, left.T, strict=True), 2):
         if not still and np.ptp(a - b) <= least:
-            yield f"{one} and {other} have the same noise; give the readings of one meter once"
+            yield message(f"{one} and {other} have the same noise; give the readings of one meter once")
 
 
 def groups_of(time_s: Floats) -> list[Ints]:
@@ -230,25 +237,27 @@ def _checked(readings: Readings) -> tuple[Floats, Floats, list[int]]:
     """Return times, reference voltages and the channels read. Raises `CalibrationError` with all that is wrong."""
     wrong = []
     if readings.unit != "V":
-        wrong.append(f"the signals are in {readings.unit}; give a record in volts (ux_v)")
+        wrong.append(message(f"the signals are in {readings.unit}; give a record in volts (ux_v)"))
     if not np.isfinite(readings.time_s).all():
         row = int(np.argmin(np.isfinite(readings.time_s))) + 1
-        wrong.append(f"time_s is empty in row {row}; fill it in, or delete the row")
+        wrong.append(message(f"time_s is empty in row {row}; fill it in, or delete the row"))
     elif np.any(back := np.diff(readings.time_s) < 0.0):
         wrong.append(
-            f"time_s runs backwards in row {int(np.argmax(back)) + 2}; if the clock was put back, give times in "
-            "UTC, otherwise sort the rows"
+            message(
+                f"time_s runs backwards in row {int(np.argmax(back)) + 2}; if the clock was put back, give times "
+                "in UTC, otherwise sort the rows"
+            )
         )
     elif readings.time_s[-1] == readings.time_s[0]:
-        wrong.append("time_s is the same in all rows; state the time of each reading")
+        wrong.append(message("time_s is the same in all rows; state the time of each reading"))
     known = readings.extra.get(REFERENCE_V)
     reference_v = np.full(len(readings), np.nan) if known is None else numbers(known)
     if not np.isfinite(reference_v).all():
         row = int(np.argmin(np.isfinite(reference_v))) + 1
-        wrong.append(f"{REFERENCE_V} is empty in row {row}; fill in the voltage at the inputs")
+        wrong.append(message(f"{REFERENCE_V} is empty in row {row}; fill in the voltage at the inputs"))
     channels = [i for i in range(3) if np.isfinite(readings.signal[:, i]).all()]
     if not channels:
-        wrong.append("no signal column is complete; delete the rows with empty signals")
+        wrong.append(message("no signal column is complete; delete the rows with empty signals"))
     if wrong:
         raise CalibrationError(f"{readings.source}: {'; '.join(wrong)}")
     return readings.time_s, reference_v, channels

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import ARCSEC, MINUTE, Floats
+from bench.base.languages import message
 from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
@@ -110,8 +111,8 @@ class DictionaryTerm(NamedTuple):
                 *(Parameter(s, unit.text, unit.si, unit.plausible, per_channel=per_channel) for s in sizes),
                 *self.constants,
             ),
-            sentence=f"something without a name, described by {self.family}",
-            shown_by="a run over which more changes of what its formula depends on",
+            sentence=message(f"something without a name, described by {self.family}"),
+            shown_by=message("a run over which more changes of what its formula depends on"),
             expression=" + ".join(
                 f"{size} * {_factor(text)}" for size, text in zip(sizes, self.expressions, strict=True)
             ),
@@ -206,10 +207,12 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
     """Yield every term: the courses in each place, products of the force, and terms of the voltage."""
     courses = list(_courses(linear.readings.conditions()))
     for course in courses:
-        yield _of_course(course, "the bias", Stage.BLOCK_OUTPUT, BIAS)
+        yield _of_course(course, message("the bias"), Stage.BLOCK_OUTPUT, BIAS)
         if course.long:
-            yield _of_course(course, "the scale factor", Stage.BLOCK_OUTPUT, SCALE, in_proportion=True)
-        yield _of_course(course, "the head's angle", Stage.HEAD_ANGLE, ANGLE)
+            yield _of_course(
+                course, message("the scale factor"), Stage.BLOCK_OUTPUT, SCALE, in_proportion=True
+            )
+        yield _of_course(course, message("the head's angle"), Stage.HEAD_ANGLE, ANGLE)
         # a platform does not turn or roll with the head's angle
         for angle, what in STAND_WORDS.items():
             if not course.narrow and (angle == AXIS_TILT or not course.of_angle):
@@ -235,7 +238,7 @@ def _of_course(
     if course.of_temperature:
         unit = TermUnit(f"{unit.text}/K", unit.si, unit.plausible_per_k)
     return DictionaryTerm(
-        f"{course.words}, in {place}",
+        message(f"{course.words}, in {place}"),
         stage,
         tuple(f"{signal} * ({text})" for text in texts) if in_proportion else texts,
         unit,
@@ -248,17 +251,31 @@ def _of_course(
 
 AXIS_TILT: Final = "axis_tilt"
 STAND_WORDS: Final = {
-    "axis_tilt": "a tilt of the axis",
-    "mounting_error": "a turn of the block on the platform",
-    "mounting_roll": "a roll of the block on the platform",
+    "axis_tilt": message("a tilt of the axis"),
+    "mounting_error": message("a turn of the block on the platform"),
+    "mounting_roll": message("a roll of the block on the platform"),
 }
 
 FORCES: Final[dict[str, tuple[str, ...]]] = {
-    "a square or product of the specific force": ("a**2", "aj**2", "ak**2", "a * aj", "a * ak", "aj * ak"),
-    "a third power of the specific force": ("a**3", "a**2 * aj", "a**2 * ak", "a * aj**2", "aj**3", "ak**3"),
-    "a fourth or fifth power of the specific force": ("a**4", "a**5"),
-    "the size of the specific force": ("abs(a)", "a * abs(a)", "abs(aj)", "abs(ak)"),
-    "a step at a level of the specific force": (*FORCE_STEPS, "tanh(20 * aj)", "tanh(20 * ak)"),
+    message("a square or product of the specific force"): (
+        "a**2",
+        "aj**2",
+        "ak**2",
+        "a * aj",
+        "a * ak",
+        "aj * ak",
+    ),
+    message("a third power of the specific force"): (
+        "a**3",
+        "a**2 * aj",
+        "a**2 * ak",
+        "a * aj**2",
+        "aj**3",
+        "ak**3",
+    ),
+    message("a fourth or fifth power of the specific force"): ("a**4", "a**5"),
+    message("the size of the specific force"): ("abs(a)", "a * abs(a)", "abs(aj)", "abs(ak)"),
+    message("a step at a level of the specific force"): (*FORCE_STEPS, "tanh(20 * aj)", "tanh(20 * ak)"),
 }
 
 
@@ -266,16 +283,18 @@ def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
     stage = Stage.VOLTMETER_READING
     for course in courses:
         if course.long:
-            yield _of_course(course, "the voltage", stage, VOLTS)
+            yield _of_course(course, message("the voltage"), stage, VOLTS)
         if course.long and course.where:
-            yield _of_course(course, "the gain of the voltmeter", stage, GAIN, in_proportion=True)
+            yield _of_course(course, message("the gain of the voltmeter"), stage, GAIN, in_proportion=True)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):
-        yield DictionaryTerm("the size of a voltage", stage, (text,), GAIN)
-    yield DictionaryTerm("a power of the voltage", stage, ("U**2",), VOLTS_PER_V2)
-    yield DictionaryTerm("a power of the voltage", stage, ("U**3",), VOLTS_PER_V3)
+        yield DictionaryTerm(message("the size of a voltage"), stage, (text,), GAIN)
+    yield DictionaryTerm(message("a power of the voltage"), stage, ("U**2",), VOLTS_PER_V2)
+    yield DictionaryTerm(message("a power of the voltage"), stage, ("U**3",), VOLTS_PER_V3)
     low, below = "(abs(U) < low)", (_constant("low", "V", 1.0, LOW_RANGE_V),)
-    yield DictionaryTerm("voltages below 1.2 V", stage, (low,), VOLTS, constants=below)
-    yield DictionaryTerm("voltages below 1.2 V, in proportion", stage, (f"U * {low}",), GAIN, constants=below)
+    yield DictionaryTerm(message("voltages below 1.2 V"), stage, (low,), VOLTS, constants=below)
+    yield DictionaryTerm(
+        message("voltages below 1.2 V, in proportion"), stage, (f"U * {low}",), GAIN, constants=below
+    )
 
 
 def _constant(name: str, unit: str, si: float, value: float) -> Parameter:
@@ -298,7 +317,11 @@ def _courses(conditions: Conditions) -> Iterator[TimeCourse]:
             text = "lagged(temperature, lag)" if lag_s else "temperature"
             behind = (_constant("lag", "min", MINUTE, lag_s),) if lag_s else ()
             yield TimeCourse(
-                "the temperature, at once or with a lag", (text,), behind, of_temperature=True, long=True
+                message("the temperature, at once or with a lag"),
+                (text,),
+                behind,
+                of_temperature=True,
+                long=True,
             )
 
 
@@ -324,11 +347,11 @@ def _of_angle(conditions: Conditions) -> Iterator[TimeCourse]:
     for k in (0.5, *range(1, min(distinct // 2, 6) + 1)):
         inside = "angle" if k == 1 else f"{k:g} * angle"
         wave = (f"cos({inside})", f"sin({inside})")
-        yield from _by_mounting(TimeCourse(f"a wave, {k:g} per turn", wave, of_angle=True), visits)
-    yield TimeCourse("the angle of the head, unwound between passes", ("angle / (2 * pi)",))
+        yield from _by_mounting(TimeCourse(message(f"a wave, {k:g} per turn"), wave, of_angle=True), visits)
+    yield TimeCourse(message("the angle of the head, unwound between passes"), ("angle / (2 * pi)",))
     for degrees in sorted(set(np.round(np.degrees(angle), 1).tolist())):
         at = f"(abs(angle - {np.radians(degrees):.6g}) < 0.004)"
-        course = TimeCourse("one angle of the head", (at,), narrow=True, where=f"{degrees:g}°")
+        course = TimeCourse(message("one angle of the head"), (at,), narrow=True, where=f"{degrees:g}°")
         yield from _by_mounting(course, visits)
 
 
@@ -337,24 +360,26 @@ def _by_mounting(course: TimeCourse, visits: range) -> Iterator[TimeCourse]:
     yield course
     for visit in visits:
         yield TimeCourse(
-            f"{course.words}, of one mounting",
+            message(f"{course.words}, of one mounting"),
             tuple(f"{text} * {_in_visit(visit)}" for text in course.expressions),
             narrow=True,
-            where=", ".join(filter(None, (course.where, f"mounting {visit}"))),
+            where=", ".join(filter(None, (course.where, message(f"mounting {visit}")))),
         )
 
 
 def _of_turns(conditions: Conditions) -> Iterator[TimeCourse]:
-    yield TimeCourse("the turn of the head since the block was mounted", ("turned / (2 * pi)",))
-    yield TimeCourse("the turn of the head since the start", ("wound / (2 * pi)",))
+    yield TimeCourse(message("the turn of the head since the block was mounted"), ("turned / (2 * pi)",))
+    yield TimeCourse(message("the turn of the head since the start"), ("wound / (2 * pi)",))
     for turns in (0.25, 0.5, 1, 2):
         yield TimeCourse(
-            "what fades as the head is turned", (f"exp(-travelled / ({2 * turns:g} * pi))",), long=True
+            message("what fades as the head is turned"),
+            (f"exp(-travelled / ({2 * turns:g} * pi))",),
+            long=True,
         )
     if len(set(conditions.direction[np.isfinite(conditions.angle_rad)].tolist())) > 1:
-        yield TimeCourse("the direction of approach", ("direction",))
+        yield TimeCourse(message("the direction of approach"), ("direction",))
         yield TimeCourse(
-            "the direction of approach, once per turn",
+            message("the direction of approach, once per turn"),
             ("direction * cos(angle)", "direction * sin(angle)"),
         )
 
@@ -364,29 +389,29 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
     if np.ptp(time) <= 0.0:
         return
     span = (_constant("T", "s", 1.0, float(f"{np.ptp(time):.4g}")),)
-    yield TimeCourse("the time", ("time / T",), span, long=True)
+    yield TimeCourse(message("the time"), ("time / T",), span, long=True)
     for middle in MIDDLES:
-        yield TimeCourse("a parabola in time", (f"(time / T - {middle:g})**2",), span, long=True)
+        yield TimeCourse(message("a parabola in time"), (f"(time / T - {middle:g})**2",), span, long=True)
     for tau_s in shapes("warm_up", "tau"):
         tau = (_constant("tau", "min", MINUTE, tau_s),)
-        yield TimeCourse("what fades with time", ("exp(-time / tau)",), tau, long=True)
+        yield TimeCourse(message("what fades with time"), ("exp(-time / tau)",), tau, long=True)
     for minutes in CREEPS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
-        yield TimeCourse("what creeps with time", ("log(1 + time / tau)",), tau, long=True)
+        yield TimeCourse(message("what creeps with time"), ("log(1 + time / tau)",), tau, long=True)
     for k in range(1, FASTEST + 1):
-        yield TimeCourse("a slow wave in time", (f"cos({k:g} * pi * time / T)",), span)
+        yield TimeCourse(message("a slow wave in time"), (f"cos({k:g} * pi * time / T)",), span)
     angled = np.unique(time[np.isfinite(conditions.angle_rad)])
     for k in _frequencies(angled):
         wave = (f"cos({k:g} * pi * time / T)", f"sin({k:g} * pi * time / T)")
-        yield TimeCourse("a wave in time", wave, span, narrow=True)
+        yield TimeCourse(message("a wave in time"), wave, span, narrow=True)
     for at in (angled[1:] + angled[:-1]) / 2:
         when = (_constant("t", "s", 1.0, float(f"{at:.7g}")),)
         yield TimeCourse(
-            "a step in time",
+            message("a step in time"),
             ("(time > t)",),
             when,
             narrow=True,
-            where=f"from {at / MINUTE:.0f} min on",
+            where=message(f"from {at / MINUTE:.0f} min on"),
         )
 
 
@@ -403,14 +428,16 @@ def _of_passes(conditions: Conditions) -> Iterator[TimeCourse]:
     passes = sorted(set(conditions.pass_number[angled].tolist()))
     visits = _visits(conditions)
     for visit in visits:
-        yield TimeCourse("one mounting", (_in_visit(visit),), long=True, where=f"mounting {visit}")
+        yield TimeCourse(
+            message("one mounting"), (_in_visit(visit),), long=True, where=message(f"mounting {visit}")
+        )
     for number in passes if len(passes) > 1 else ():
         alone = f"(pass_number > {number - 0.5:g}) * (pass_number < {number + 0.5:g})"
-        yield TimeCourse("one pass", (alone,), long=True, where=f"pass {number}")
+        yield TimeCourse(message("one pass"), (alone,), long=True, where=f"pass {number}")
         for visit in visits:
             yield TimeCourse(
-                "one pass of one mounting",
+                message("one pass of one mounting"),
                 (f"{alone} * {_in_visit(visit)}",),
                 long=True,
-                where=f"pass {number} of mounting {visit}",
+                where=message(f"pass {number} of mounting {visit}"),
             )

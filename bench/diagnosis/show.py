@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration import Calibration, LackOfFit, calibrate, gls
 from bench.calibration.calibrate import Posed, first_guess, pose, solve
 from bench.calibration.design import FIXED, Problem
@@ -171,10 +172,10 @@ def contradicted(stated: Sequence[AppliedEffect], estimated: Sequence[AppliedEff
                 pull = abs(new[i] - value[i]) / np.sqrt(u[i] ** 2 - u_new[i] ** 2)
                 if special.erfc(pull / np.sqrt(2.0)) < HARDLY_EVER:
                     of = f" of {CHANNELS[i]}" if parameter.per_channel else ""
-                    yield (
-                        f"the model states {parameter.name}{of} of {one.effect.name} as {value[i]:.3g} with u "
-                        f"{u[i]:.2g} {parameter.unit}; these readings contradict it by {pull:.1f} u: diagnose them "
-                        "without this model"
+                    yield message(
+                        f"the model states {parameter.name}{of} of {one.effect.name} as {value[i]:.3g} with "
+                        f"u {u[i]:.2g} {parameter.unit}; these readings contradict it by {pull:.1f} u: "
+                        "diagnose them without this model"
                     )
 
 

@@ -14,6 +14,7 @@ from rich.table import Table
 
 from bench.base.arrays import Floats
 from bench.base.files import write_whole
+from bench.base.languages import message, translated
 from bench.base.numbers import fixed
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import as_html, as_text, print_notes, table
@@ -170,7 +171,9 @@ class BudgetResult(ResultModel):
         """Print the tables of coefficients, sources, accelerations and verification points, and the notes."""
         out.print(_headline(self))
         out.print(
-            "standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one"
+            message(
+                "standard uncertainties by source: K in µV/g, U0 in µV; * a plausible size, not a stated one"
+            )
         )
         for shown in (_coefficient_table(self), _source_table(self), _acceleration_table(self)):
             out.print(shown)
@@ -257,7 +260,7 @@ def _monte_carlo_part(exact: ExactResult) -> MonteCarloPart:
 
 
 def _headline(result: BudgetResult) -> str:
-    return (
+    return message(
         f"Budget of {result.procedure} on {result.bench}: {result.estimator}, model {result.model}, "
         f"{result.readings.fitted} readings, about {result.about}"
     )
@@ -279,9 +282,11 @@ def _source_table(result: BudgetResult) -> Table:
 
 
 def _acceleration_table(result: BudgetResult) -> Table:
-    how = "the same voltmeters" if result.acceleration.same_voltmeters else "voltmeters alike"
+    how = (
+        message("the same voltmeters") if result.acceleration.same_voltmeters else message("voltmeters alike")
+    )
     shown = _table(_by_magnitude(result), "measured |a|", *ACCELERATION_COLUMNS)
-    shown.title = f"one reading with {how}, over all directions, µg"
+    shown.title = translated(message(f"one reading with {how}, over all directions, µg"))
     shown.title_justify = "left"
     return shown
 
@@ -289,11 +294,13 @@ def _acceleration_table(result: BudgetResult) -> Table:
 def _print_check(result: BudgetResult, out: Console) -> None:
     check = result.verification
     out.print(_table(_by_point(check), "verification point", *POINT_COLUMNS))
-    surely = f"CANNOT BE PASSED with {100 * result.probability:.4g} %"
-    verdict = "can be passed" if check.capable else surely
+    surely = message(f"CANNOT BE PASSED with {100 * result.probability:.4g} %")
+    verdict = message("can be passed") if check.capable else surely
     out.print(
-        f"check of |Δg| ≤ {check.limit_g * 1e6:g} µg, rule: {check.decision.words}: {verdict} "
-        "(U against what is accepted, at every point)",
+        message(
+            f"check of |Δg| ≤ {check.limit_g * 1e6:g} µg, rule: {check.decision.words}: {verdict} "
+            "(U against what is accepted, at every point)"
+        ),
         style="bold",
     )
 
@@ -301,8 +308,8 @@ def _print_check(result: BudgetResult, out: Console) -> None:
 def _monte_carlo_in_words(found: MonteCarloPart) -> str:
     ratios = [output.ratio for output in found.outputs.values() if output.u_linear > 0.0]
     names = ", ".join(name for name, output in found.outputs.items() if not output.validated)
-    verdict = f"not validated for {names}" if names else "validated for every output"
-    return (
+    verdict = message(f"not validated for {names}") if names else message("validated for every output")
+    return message(
         f"Monte Carlo on the exact geometry, {found.trials} trials: u over linear u {min(ratios):.3f} to "
         f"{max(ratios):.3f}; JCGM 101, clause 8: {verdict}"
     )
@@ -318,9 +325,10 @@ def _table(rows: Iterable[Row], first: str, *others: str) -> Table:
 # --- rows of the tables, for both terminal and page -----------------------------------------------------
 
 ACCELERATION_COLUMNS: Final = (
-    "u(|a|) mean", "largest", "U(|a|) largest", "u(vector) mean", "largest", "most of it",
+    message("u(|a|) mean"), message("largest"), message("U(|a|) largest"), message("u(vector) mean"),
+    message("largest"), message("most of it"),
 )  # fmt: skip
-POINT_COLUMNS: Final = ("u(Δg)", "U(Δg)", "accepted up to", "passes", "most of it")
+POINT_COLUMNS: Final = ("u(Δg)", "U(Δg)", message("accepted up to"), message("passes"), message("most of it"))
 
 
 def _by_source(result: BudgetResult) -> Iterator[Row]:
@@ -332,13 +340,13 @@ def _combined(result: BudgetResult) -> Iterator[Row]:
     """Yield the rows below the sources: u of the stand, combined u (exact or stated local g), dof, U."""
     coefficients = [result.coefficients[name] for name in result.order]
     if "stand" in result.groups:
-        yield Row("stand, as calibrate states", *_micro(result.groups["stand"].u))
-    yield Row("combined u, per local g", *_micro(result.per_local_g.u))
-    yield Row("combined u", *_micro(one.u for one in coefficients))
+        yield Row(message("stand, as calibrate states"), *_micro(result.groups["stand"].u))
+    yield Row(message("combined u, per local g"), *_micro(result.per_local_g.u))
+    yield Row(message("combined u"), *_micro(one.u for one in coefficients))
     if any(one.dof is not None for one in coefficients):
-        yield Row("effective dof", *(_dof(one.dof, ".0f") for one in coefficients))
+        yield Row(message("effective dof"), *(_dof(one.dof, ".0f") for one in coefficients))
     factors = [one.k for one in coefficients]
-    k = f"k = {factors[0]:.2f}" if max(factors) - min(factors) < 0.005 else "k by dof"
+    k = f"k = {factors[0]:.2f}" if max(factors) - min(factors) < 0.005 else message("k by dof")
     yield Row(f"U ({k}, {100 * result.probability:.4g} %)", *_micro(one.U for one in coefficients))
 
 
@@ -353,10 +361,10 @@ def _by_magnitude(result: BudgetResult) -> Iterator[Row]:
 def _by_point(check: VerificationPart) -> Iterator[Row]:
     for point in check.points:
         yield Row(
-            f"{point.point} at {point.angle_deg:g}°",
+            message(f"{point.point} at {point.angle_deg:g}°"),
             f"{1e6 * point.u:.1f} µg",
             f"{1e6 * point.U:.1f} µg",
-            f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else "nothing",
+            f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else message("nothing"),
             f"{100 * point.passes:.4g} %",
             max(point.by_source, key=point.by_source.__getitem__),
             bad=not point.capable,
@@ -390,7 +398,7 @@ def render_budget(result: BudgetResult) -> str:
     return page(
         "budget.html.j2",
         result=result,
-        headings=["source", *(tables.symbol(name) for name in result.order)],
+        headings=[message("source"), *(tables.symbol(name) for name in result.order)],
         coefficients=[
             Row(row.head.replace("_", " "), *row.cells) for row in (*_by_source(result), *_combined(result))
         ],
@@ -407,7 +415,7 @@ def render_budget(result: BudgetResult) -> str:
         ],
         acceleration_columns=["|a|", *ACCELERATION_COLUMNS],
         accelerations=list(_by_magnitude(result)),
-        point_columns=["verification point", *POINT_COLUMNS],
+        point_columns=[message("verification point"), *POINT_COLUMNS],
         points=list(_by_point(check)),
         verdict={True: "passed", False: "failed", None: "none"}[check.capable],
         limit=f"{1e6 * check.limit_g:g}",
@@ -471,10 +479,10 @@ def contributions(result: BudgetResult) -> BudgetFigure:
             base += 1e6 * share * u
         axes.set_xticks(range(len(names)), [symbol(name) for name in names])
         axes.grid(visible=False, axis="x")
-        axes.set_ylabel("combined u / (µV/g)\n(biases: µV)")
+        axes.set_ylabel(message("combined u / (µV/g)") + "\n(biases: µV)")
         figure.legend(loc="outside upper center", ncols=4)
 
-    alt = (
+    alt = message(
         "Combined standard uncertainty of the twelve coefficients, "
         "divided in proportion to the variance from each source"
     )
@@ -500,8 +508,8 @@ def modulus(result: BudgetResult) -> BudgetFigure:
                 at, 1e6 * np.sqrt(share) * mean, linestyle=("--", ":", "-.")[i % 3], linewidth=1.0,
                 color=COLOURS[(i + 2) % len(COLOURS)], label=source,
             )  # fmt: skip
-        axes.plot(at, 1e6 * largest, "v-", color=VERMILION, label="largest over directions")
-        axes.plot(at, 1e6 * mean, "o-", color=BLUE, label="mean over directions")
+        axes.plot(at, 1e6 * largest, "v-", color=VERMILION, label=message("largest over directions"))
+        axes.plot(at, 1e6 * mean, "o-", color=BLUE, label=message("mean over directions"))
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.set_xticks(at, [f"{a:g}" for a in at])
@@ -510,7 +518,7 @@ def modulus(result: BudgetResult) -> BudgetFigure:
         axes.set_ylabel("u(|a|) / µg")
         figure.legend(loc="outside upper center", ncols=3)
 
-    alt = f"Standard uncertainty of a measured |a| from {at[0]:g} g to {at[-1]:g} g"
+    alt = message(f"Standard uncertainty of a measured |a| from {at[0]:g} g to {at[-1]:g} g")
     return BudgetFigure("budget-acceleration", (7.4, 3.8), draw, alt)
 
 
@@ -518,4 +526,4 @@ def _gathered(shares: Mapping[str, Floats]) -> dict[str, Floats]:
     """Return the shares of at least `VISIBLE`, and the sum of all other shares as "others"."""
     seen = {source: share for source, share in shares.items() if np.max(share) >= VISIBLE}
     rest = sum((share for source, share in shares.items() if source not in seen), np.zeros(12))
-    return {**seen, "others": rest} if np.any(rest > 0.0) else seen
+    return {**seen, message("others"): rest} if np.any(rest > 0.0) else seen

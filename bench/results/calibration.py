@@ -405,11 +405,15 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if find_estimator(found.estimator).drops_outliers and not found.outliers:
         out.print(message("outliers: none found"))
     for outlier in found.outliers:
-        out.print(f"outlier: {outlier.text()}; its weight is 0")
+        out.print(message(f"outlier: {outlier.text()}; its weight is 0"))
     if found.free is not None:
-        without = ", without the outliers" if found.outliers else ""
         rms_ug = found.modulus_rms_g * 1e6
-        out.print(f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g{without}")
+        out.print(
+            message(
+                f"modulus of the free readings: {rms_ug:.3g} µg root mean square from 1 g"
+                f"{', without the outliers' if found.outliers else ''}"
+            )
+        )
     print_notes(out, notes)
     for sentence in found.assumed:
         out.print(message(f"assumed: {sentence}"))
@@ -418,14 +422,16 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
 def _noise_in_words(found: Calibration) -> str:
     noise = found.noise
     scale = scale_for(noise.reading, found.unit)
-    said = f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}"
+    reading = message(
+        f"noise (1 sigma, from {noise.source}): reading {noise.reading / scale.size:.3g} {scale.unit}"
+    )
     if not len(found.fitted):
-        return said
-    said += f", setting of the head {noise.setting_rad / ARCSEC:.2g} arcsec"
+        return reading
+    setting = f"{noise.setting_rad / ARCSEC:.2g} arcsec"
     if noise.setting_limits_rad is not None:
         low, high = (limit / ARCSEC for limit in noise.setting_limits_rad)
-        said += f" (95 %: {low:.2g} to {high:.2g})"
-    return said
+        setting += message(f" (95 %: {low:.2g} to {high:.2g})")
+    return message(f"{reading}, setting of the head {setting}")
 
 
 def fit_in_a_line(found: Calibration) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message, translated
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import APPROACH, degrees
@@ -156,7 +157,7 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
         out.print(f"{'before':>13}  {before}")
     for line in listing(plan, every_step=every_step):
         steps = f"{line.first}" if line.first == line.last else f"{line.first}–{line.last}"
-        out.print(f"{steps:>13}  {line.text}")
+        out.print(f"{steps:>13}  {translated(line.text)}")
     by_kind = table("step", ">count", ">expected time")
     for kind, seconds in result.expected_by_kind_s.items():
         by_kind.add_row(kind, str(result.counts.get(kind, "")), duration(seconds))
@@ -166,16 +167,20 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
     out.print(by_kind)
     out.print(by_installation)
     longer = result.longest_s > result.expected_s
-    at_most = f" (at most {duration(result.longest_s)})" if longer else ""
+    at_most = message(f" (at most {duration(result.longest_s)})") if longer else ""
     out.print(
-        f"{result.procedure} on {result.bench}: {result.steps} steps, {result.operator_actions} operator actions, "
-        f"about {duration(result.expected_s)}{at_most}; plan {result.plan_hash[:12]}"
+        message(
+            f"{result.procedure} on {result.bench}: {result.steps} steps, {result.operator_actions} operator "
+            f"actions, about {duration(result.expected_s)}{at_most}; plan {result.plan_hash[:12]}"
+        )
     )
     disk = result.disk
     out.print(
-        f"signals reach {result.largest_signal_v:.3g} V at nominal scale factors, on the "
-        f"{bench.voltmeter_range_v:g} V range; the run needs about {disk_space(disk.needed_bytes)} of the "
-        f"{disk_space(disk.free_bytes)} free in {disk.folder}"
+        message(
+            f"signals reach {result.largest_signal_v:.3g} V at nominal scale factors, on the "
+            f"{bench.voltmeter_range_v:g} V range; the run needs about {disk_space(disk.needed_bytes)} of the "
+            f"{disk_space(disk.free_bytes)} free in {disk.folder}"
+        )
     )
     for sentence in (*_coefficients_in_words(result.not_determined), *_open_in_words(found.outlook)):
         out.print(sentence)
@@ -183,8 +188,8 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
         out.print(f"--until: {outlook_in_words(found.until)}")
     for lead, sentences in (
         ("note", result.hints),
-        ("cannot be done", result.problems),
-        ("a dry run refuses it", result.dry_run_refuses),
+        (message("cannot be done"), result.problems),
+        (message("a dry run refuses it"), result.dry_run_refuses),
     ):
         for sentence in sentences:
             out.print(f"{lead}: {sentence}")
@@ -192,43 +197,49 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
 
 def _coefficients_in_words(not_determined: list[OpenCoefficients]) -> Iterator[str]:
     if not not_determined:
-        yield "no calibration: the procedure has no reading in an installation of known orientation"
+        yield message("no calibration: the procedure has no reading in an installation of known orientation")
     temperatures: dict[tuple[str, ...], list[str]] = {}
     for one in not_determined:
-        at = "the first temperature" if one.temperature_c is None else f"{one.temperature_c:g} °C"
+        at = message("the first temperature") if one.temperature_c is None else f"{one.temperature_c:g} °C"
         temperatures.setdefault(tuple(one.coefficients), []).append(at)
     for names, places in temperatures.items():
-        where = f"at {', '.join(places)}: " if len(not_determined) > 1 else ""
+        where = ", ".join(places) if len(not_determined) > 1 else ""
+        determined = ", ".join(name for name in COEFFICIENTS if name not in names)
         if not names:
-            yield f"{where}determines all twelve coefficients"
-        elif len(names) == len(COEFFICIENTS):
-            yield f"{where}no calibration: the orientations determine none of the twelve coefficients"
+            said = message("determines all twelve coefficients")
+        elif not determined:
+            said = message("no calibration: the orientations determine none of the twelve coefficients")
         else:
-            determined = [name for name in COEFFICIENTS if name not in names]
-            yield (
-                f"{where}no calibration by itself: the orientations determine {', '.join(determined)} and "
-                f"leave {', '.join(names)} open"
+            said = message(
+                f"no calibration by itself: the orientations determine {determined} and leave "
+                f"{', '.join(names)} open"
             )
+        yield f"at {where}: {said}" if where else said
 
 
 def _open_in_words(found: Outlook | None) -> Iterator[str]:
     if found is None:
         return
     for sentence in found.open:
-        yield f"leaves open: {sentence}"
+        yield message(f"leaves open: {sentence}")
     if found.open:
         ways = "; ".join(map(_remedy_in_words, found.remedies[:_REMEDIES_LISTED]))
-        yield f"to determine it, choose one: {ways or 'no measurement on this bench does'}"
-    if found.turns:
         yield (
+            message(f"to determine it, choose one: {ways}")
+            if ways
+            else message("to determine it, choose one: no measurement on this bench does")
+        )
+    if found.turns:
+        yield message(
             f"leaves open, as every procedure on one head: a common turn of the block's axes (about "
             f"{', '.join(found.turns)}); only the limits of the stand's angles bound it"
         )
 
 
 def _remedy_in_words(remedy: Remedy) -> str:
-    cost = f"about {duration(remedy.cost_s)} more" if remedy.cost_s else "no further readings"
-    return f"{remedy.text} ({cost})"
+    if not remedy.cost_s:
+        return message(f"{remedy.text} (no further readings)")
+    return message(f"{remedy.text} (about {duration(remedy.cost_s)} more)")
 
 
 def outlook_in_words(found: TimeOutlook) -> str:
@@ -236,15 +247,17 @@ def outlook_in_words(found: TimeOutlook) -> str:
     low_s, mid_s, high_s = found.quantiles(found.time_s)
     low, mid, high = (round(n) for n in found.quantiles(found.settings))
     reached = float(np.mean(found.reached))
-    noise = "was learned" if found.learned else "the bench file states"
-    words = (
+    noise = message("was learned") if found.learned else message("the bench file states")
+    whole = f"{found.whole}"
+    if found.has_goal and reached < _NEARLY_ALL:
+        whole = message(
+            f"{found.whole}; reached in {100 * reached:.0f} % of runs; then the procedure has no more points"
+        )
+    return message(
         f"at the noise that {noise}: a run takes {duration(mid_s)} (90 % of runs {duration(low_s)} to "
         f"{duration(high_s)}) and {mid} settings ({low} to {high}); the whole procedure has "
-        f"{duration(found.whole_s)} and {found.whole}"
+        f"{duration(found.whole_s)} and {whole}"
     )
-    if found.has_goal and reached < _NEARLY_ALL:
-        words += f"; reached in {100 * reached:.0f} % of runs; then the procedure has no more points"
-    return words
 
 
 def disk_space(size: float) -> str:
@@ -301,7 +314,7 @@ def listing(plan: Plan, *, every_step: bool = False) -> Iterator[Line]:
             yield Line(block.start + 1, block.end, _block_in_words(steps, block))
         if times > 1:
             rest = blocks[start + period : start + period * times]
-            more = f"the same {times - 1} times more, to {_where(steps[rest[-1].end - 1])}"
+            more = message(f"the same {times - 1} times more, to {_where(steps[rest[-1].end - 1])}")
             yield Line(rest[0].start + 1, rest[-1].end, more)
 
 
@@ -361,7 +374,7 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
     reads = [(a, b) for a, b in zip(unit, last, strict=True) if isinstance(a, Read) and isinstance(b, Read)]
     places = turns or reads
     if not places:
-        return f"{block.times} times: {doing}"
+        return message(f"{block.times} times: {doing}")
     first, final = places[0]
     return f"{_where(first)} to {final.point}{_span(*turns[0]) if turns else ''}: {doing}"
 

@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import Floats
+from bench.base.languages import message, translated
 from bench.base.numbers import fixed, places, probability, quantity
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -158,34 +159,50 @@ def print_compare(result: CompareResult, out: Console) -> None:
     """Print the changes since the first calibration, the drift, and the verdict from the nine intrinsic numbers."""
     unit = result.unit
     out.print(
-        f"Against {_named(result.first)}: S in {unit}/g, θ in degrees, b in g; K in {unit}/g, U0 in {unit}, "
-        f"g = {result.g_m_s2:.6g} m/s²"
+        message(
+            f"Against {_named(result.first)}: S in {unit}/g, θ in degrees, b in g; K in {unit}/g, U0 in {unit}, "
+            f"g = {result.g_m_s2:.6g} m/s²"
+        )
     )
     for later in result.compared:
         out.print(f"{_named(later)}:")
         nine = later.intrinsic
         out.print(_changes_table(nine.values))
         out.print(
-            f"all nine together: chi2 {nine.chi2:.1f} for {nine.dof} degrees of freedom, {probability(nine.p)}"
+            message(
+                f"all nine together: chi2 {nine.chi2:.1f} for {nine.dof} degrees of freedom, {probability(nine.p)}"
+            )
         )
         if later.p is not None and later.chi2 is not None:
-            out.print("the twelve coefficients, which a turn of the block changes, too:")
+            out.print(message("the twelve coefficients, which a turn of the block changes, too:"))
             out.print(_changes_table(later.coefficients))
             out.print(
-                f"all twelve together: chi2 {later.chi2:.1f} for 12 degrees of freedom, {probability(later.p)}"
+                message(
+                    f"all twelve together: chi2 {later.chi2:.1f} for 12 degrees of freedom, {probability(later.p)}"
+                )
             )
-    for drift, of in ((result.drift_intrinsic, "nine"), (result.drift, "twelve")):
+    for drift, of in (
+        (result.drift_intrinsic, message("drift of the nine (weighted straight lines):")),
+        (result.drift, message("drift of the twelve (weighted straight lines):")),
+    ):
         if drift is not None:
-            out.print(f"drift of the {of} (weighted straight lines):")
+            out.print(of)
             out.print(_drift_table(drift))
             out.print(
-                f"residuals from the lines: chi2 {drift.chi2:.1f} for {drift.dof} degrees of freedom, "
-                f"{probability(drift.p)}"
+                message(
+                    f"residuals from the lines: chi2 {drift.chi2:.1f} for {drift.dof} degrees of freedom, "
+                    f"{probability(drift.p)}"
+                )
             )
     print_notes(out, result.notes)
     out.print(
-        f"{verdict_of(result)}; test that the nine numbers are equal in all calibrations: "
-        f"{probability(result.p_constant_intrinsic)}",
+        f"{translated(verdict_of(result))}; "
+        + translated(
+            message(
+                "test that the nine numbers are equal in all calibrations: "
+                f"{probability(result.p_constant_intrinsic)}"
+            )
+        ),
         style="bold",
     )
 
@@ -195,14 +212,14 @@ def verdict_of(result: CompareResult) -> str:
     nine = [name for one in result.compared for name, row in one.intrinsic.values.items() if row.changed]
     twelve = [name for one in result.compared for name, row in one.coefficients.items() if row.changed]
     if result.changed:
-        which = ", ".join(dict.fromkeys(nine)) or "no single number, but all nine together"
-        return f"CHANGED by more than the uncertainty (5 %, all nine together): {which}"
-    turned = (
-        f"; {', '.join(dict.fromkeys(twelve))} of the twelve differ, because the block is turned"
-        if twelve
-        else ""
+        which = ", ".join(dict.fromkeys(nine)) or message("no single number, but all nine together")
+        return message(f"CHANGED by more than the uncertainty (5 %, all nine together): {which}")
+    if not twelve:
+        return message("no change exceeds the uncertainty")
+    return message(
+        f"no change exceeds the uncertainty; {', '.join(dict.fromkeys(twelve))} of the twelve differ, because "
+        "the block is turned"
     )
-    return f"no change exceeds the uncertainty{turned}"
 
 
 def _named(one: CalibrationOfBlock) -> str:
@@ -258,7 +275,7 @@ def history_figure(comparison: Comparison) -> str:
                 axes.set_xticks([dates[0], dates[-1]], [f"{date:%Y-%m-%d}" for date in (dates[0], dates[-1])])
             else:
                 axes.set_xticks(along)
-        figure.supylabel("less the first; bars k = 2", fontsize=8)
+        figure.supylabel(message("less the first; bars k = 2"), fontsize=8)
 
     return svg_file("history", (7.4, 6.2), draw)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, Final
 
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message, translated
 from bench.base.numbers import rounded, typeset, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
@@ -115,42 +116,54 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
         for line in effect_now_in_words(effect):
             out.print(line)
     out.print(
-        f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with it "
-        f"(noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+        message(
+            f"Reduced chi-square {found.before.reduced:.2f} without the model, {found.after.reduced:.2f} with "
+            f"it (noise alone: 1; {typeset(words.p_in_words(found.p_after, 2))} with it)"
+        )
     )
     # if values changed, effects found beside the model merely compensate for its wrong values
     left = words.alike_in_words(found.diagnosis.effects)
     if left and found.verdict == "confirmed":
         out.print(
-            f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
+            message(
+                f"These readings also contain another effect: {left}; 'bench diagnose' with this model names it"
+            )
         )
     closed = words.closed_in_words(
         found.closed, found.before.rms_g, found.after.rms_g, found.after.expected_rms_g, found.unit
     )
     ties = dict.fromkeys(map(either_in_words, found.effects))
     told = "; ".join([*filter(None, ties), closed])
-    out.print(f"{source}: {found.verdict.upper()}: {told}", style="bold")
+    out.print(f"{source}: {translated(VERDICTS[found.verdict]).upper()}: {translated(told)}", style="bold")
+
+
+VERDICTS: Final[dict[Word, str]] = {
+    "confirmed": message("confirmed"),
+    "changed": message("changed"),
+    "gone": message("gone"),
+}
+"""The words for each verdict."""
 
 
 def either_in_words(effect: EffectNow) -> str:
     """Return the possible names of an ambiguous effect, "either of A or B"; "" if it has only one name."""
     names = effect.applied.either_of
-    return f"either of {', '.join(names[:-1])} or {names[-1]}" if len(names) > 1 else ""
+    return message(f"either of {', '.join(names[:-1])} or {names[-1]}") if len(names) > 1 else ""
 
 
 def effect_now_in_words(effect: EffectNow) -> Iterator[str]:
     """Yield lines on an effect in new readings: its verdict, and each value in the model and in these readings."""
     name = either_in_words(effect) or label(effect.applied)
     if effect.verdict is None:
-        yield f"{name}: these readings do not show it"
+        yield message(f"{translated(name)}: these readings do not show it")
         return
-    chances = (
+    chances = message(
         f"{words.p_in_words(effect.p_same)} of the same values, {words.p_in_words(effect.p_none)} of none"
     )
-    yield f"{name}: {effect.verdict} ({typeset(chances)})"
+    yield f"{translated(name)}: {translated(VERDICTS[effect.verdict])} ({translated(typeset(chances))})"
     for was, now in zip(effect.found, effect.now, strict=True):
         of = f" of {was.channel}" if was.channel else ""
         u = "" if not was.u else f" ± {uncertainty(was.u)}"
         then = words.with_unit(f"{rounded(was.value, was.u or now.u or 1.0)}{u}", was.unit)
         here = words.with_u(now.value, now.u or 0.0, now.unit)
-        yield f"  {was.parameter}{of} = {then} in the model, {here} in these readings"
+        yield message(f"  {was.parameter}{of} = {then} in the model, {here} in these readings")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message, translated
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -38,6 +39,7 @@ from bench.results.diagnosis_parts import (
     mistake_part,
 )
 from bench.results.diagnosis_words import Files
+from bench.results.form_words import form_in_words
 from bench.results.parts import BenchPart, Corrections, by_channel
 
 
@@ -269,7 +271,7 @@ def _of_mistakes(found: MistakesAlone, files: Files, of_source: dict[str, Any]) 
         found,
         verdict="mistake",
         effects=[mistake_part(mistake) for mistake in found.mistakes],
-        notes=[f"in the corrected copy {found.reason}"],
+        notes=[message(f"in the corrected copy {found.reason}")],
         corrected=_copy_part(files, found.mistakes, len(found.corrected), None),
         **of_source,
         **nothing,
@@ -341,9 +343,15 @@ def print_found(full: FullDiagnosis | MistakesAlone, files: Files, out: Console)
         _consequence(shown, out)
     _limits_of_sight(full, out)
     print_files(full.diagnosis, files, out)
-    lead = words.lead(diagnosis).upper()
-    told = filter(None, [words.verdict_in_words(diagnosis), words.surer_in_words(full.next_measurement)])
-    out.print(f"{full.source}: {lead}: {typeset('; '.join(told))}", style="bold")
+    what, *then = words.verdict_in_words(diagnosis)
+    surer = words.surer_in_words(full.next_measurement)
+    print_verdict(full.source, diagnosis, what, [*then, surer], out)
+
+
+def print_verdict(source: str, found: Findings, what: str, then: Iterable[str], out: Console) -> None:
+    """Print the last line of a diagnosis: its source, its verdict, `what` was found, and the clauses `then`."""
+    told = [words.by_clause(typeset(what)), *(translated(typeset(clause)) for clause in then if clause)]
+    out.print(f"{source}: {translated(words.lead(found)).upper()}: {'; '.join(told)}", style="bold")
 
 
 def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:
@@ -364,23 +372,23 @@ def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) 
     for full, _ in results:
         _notes(full, f"{full.source}: ", out)
     out.print(rows)
-    out.print("gap: reduced chi-square of held-out readings; noise alone gives 1")
+    out.print(message("gap: reduced chi-square of held-out readings; noise alone gives 1"))
     for _, files in results:
         if files.report:
             out.print(f"report: {files.report}")
 
 
 def _notes(full: FullDiagnosis, lead: str, out: Console) -> None:
-    print_notes(out, [f"{lead}{note}" for note in full.diagnosis.notes])
+    print_notes(out, full.diagnosis.notes, lead)
     for row in full.skipped_rows:
-        out.print(f"left out: {row}")
+        out.print(message(f"left out: {row}"))
 
 
 def _places(diagnosis: Diagnosis, out: Console) -> None:
     if not diagnosis.where:
-        out.print("No pattern in the residuals (readings minus model) exceeds the noise")
+        out.print(message("No pattern in the residuals (readings minus model) exceeds the noise"))
         return
-    out.print("Patterns in the residuals (readings minus model), largest first:")
+    out.print(message("Patterns in the residuals (readings minus model), largest first:"))
     for place in diagnosis.where:
         out.print(f"  {typeset(words.place_in_words(place))}")
 
@@ -388,77 +396,82 @@ def _places(diagnosis: Diagnosis, out: Console) -> None:
 def _print_mistakes(found: MistakesAlone, files: Files, out: Console) -> None:
     """Print the mistakes of a diagnosis that could go no further, and what must be measured again."""
     for mistake in found.mistakes:
-        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
-    out.print(f"In the corrected copy {found.reason}")
+        out.print(message(f"Mistake: {mistake.name}: {words.by_clause(mistake.words)}"), style="bold")
+    out.print(message(f"In the corrected copy {found.reason}"))
     if files.copy is not None:
-        out.print(f"corrected copy of the readings: {files.copy}")
+        out.print(message(f"corrected copy of the readings: {files.copy}"))
     names = ", ".join(dict.fromkeys(mistake.name for mistake in found.mistakes))
-    lead = words.LEAD["mistake"].upper()
-    out.print(f"{found.source}: {lead}: {names}; correct it and repeat the affected readings", style="bold")
+    lead = translated(words.LEAD["mistake"]).upper()
+    told = message(f"{found.source}: {lead}: {names}; correct it and repeat the affected readings")
+    out.print(told, style="bold")
 
 
 def _mistakes(diagnosis: Diagnosis, out: Console) -> None:
     for mistake in diagnosis.mistakes.mistakes:
-        out.print(f"Mistake: {mistake.name}: {mistake.words}", style="bold")
-        out.print("  what follows is from a corrected copy; the record is unchanged")
+        out.print(message(f"Mistake: {mistake.name}: {words.by_clause(mistake.words)}"), style="bold")
+        out.print(message("  what follows is from a corrected copy; the record is unchanged"))
     if diagnosis.mistakes.mistakes:
         used = len(diagnosis.mistakes.corrected)
-        out.print(f"The search used the {used} readings of the corrected copy")
+        out.print(message(f"The search used the {used} readings of the corrected copy"))
 
 
 def print_effect(effect: NamedEffect, ranking: Sequence[Rival], out: Console) -> None:
     """Print an effect that was found: values, probability, and the effects that these readings cannot rule out."""
-    out.print(f"Found: {words.effect_title(effect)}", style="bold")
-    out.print(typeset(f"  {effect.words}"))
+    out.print(message(f"Found: {words.effect_title(effect)}"), style="bold")
+    out.print(typeset(f"  {words.by_clause(effect.words)}"))
     for line in words.parameters_in_words(effect):
         out.print(f"  {line}")
     if effect.aliases:
         orders = words.orders_in_words(effect.aliases)
-        out.print(f"  at the measured angles, an error that repeats {orders} times a turn looks the same")
+        out.print(
+            message(f"  at the measured angles, an error that repeats {orders} times a turn looks the same")
+        )
     if effect.odds:
-        out.print(f"  probability: {words.odds_in_words(effect)}")
+        out.print(message(f"  probability: {words.odds_in_words(effect)}"))
     out.print(typeset(f"  {words.significance_in_words(effect)}"))
     if effect.cannot_tell_from:
-        out.print(f"  tie: these readings cannot separate {effect.name} from")
-        tied = table("   effect", "in that case", "to separate them")
+        out.print(message(f"  tie: these readings cannot separate {effect.name} from"))
+        tied = table("   effect", *map(translated, (message("in that case"), message("to separate them"))))
         for other in effect.cannot_tell_from:
             told = CATALOGUE[other].shown_by if other in CATALOGUE else ""
-            told = "– (any form without a name)" if other == UNNAMED_FORM else told
-            change = words.shift_in_words(ranking, other).removeprefix("in that case ")
-            tied.add_row(f"   {other}", change, told)
+            told = message("– (any form without a name)") if other == UNNAMED_FORM else told
+            change = translated(words.shift_in_words(ranking, other)).removeprefix("in that case ")
+            tied.add_row(f"   {other}", change, translated(told))
         out.print(tied)
     for other in effect.plainer_than:
         parts = [
-            f"{other} explains it too, with more parameters",
+            message(f"{other} explains it too, with more parameters"),
             words.shift_in_words(ranking, other),
-            "the simpler effect is used",
+            message("the simpler effect is used"),
         ]
         out.print(f"  {'; '.join(filter(None, parts))}")
 
 
 def _form(diagnosis: Diagnosis, model: Path | None, out: Console) -> None:
-    lines = list(words.form_in_words(diagnosis))
+    lines = list(form_in_words(diagnosis))
     if not lines:
         return
-    out.print("Form without a name:", style="bold")
+    out.print(message("Form without a name:"), style="bold")
     for line in lines:
         out.print(f"  {typeset(line)}")
     if diagnosis.form is not None and diagnosis.form.applied and model is not None:
-        out.print(f"  to give it a name: bench accept {as_typed(model)} --name NAME --sentence TEXT")
+        out.print(message(f"  to give it a name: bench accept {as_typed(model)} --name NAME --sentence TEXT"))
 
 
 def print_gap(gap: Gap, out: Console) -> None:
     """Print how much the effects found reduce the misfit of held-out readings (the gap)."""
     if gap.folds:
         told = words.closed_in_words(gap.closed, gap.before_rms_g, gap.after_rms_g, gap.expected_rms_g)
+        out.print(f"{translated(told[0].upper() + told[1:])}; {translated(words.GAP)}")
         out.print(
-            f"{told[0].upper()}{told[1:]}; gap: misfit of held-out readings (the fit does not use them)\n"
-            f"  reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1; "
-            f"{words.p_in_words(gap.p_after, 2)} after); residuals {quantity(gap.before_rms, gap.unit)} before, "
-            f"{quantity(gap.after_rms, gap.unit)} after (rms)"
+            message(
+                f"  reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1; "
+                f"{words.p_in_words(gap.p_after, 2)} after); residuals {quantity(gap.before_rms, gap.unit)} "
+                f"before, {quantity(gap.after_rms, gap.unit)} after (rms)"
+            )
         )
     if gap.reason:
-        out.print(f"  not confirmed: {gap.reason}")
+        out.print(message(f"  not confirmed: {gap.reason}"))
 
 
 def _simulated(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> None:
@@ -467,8 +480,10 @@ def _simulated(diagnosis: Diagnosis, shown: ModelComparison, out: Console) -> No
         with_it, without = (words.p_in_words(one.test.p, 2) for one in (after, shown.before))
         out.print(
             typeset(
-                f"Readings against the simulated bench: {with_it} with the effects found, {without} without "
-                "(compared with the scatter of repeats)"
+                message(
+                    f"Readings against the simulated bench: {with_it} with the effects found, {without} without "
+                    "(compared with the scatter of repeats)"
+                )
             )
         )
         if diagnosis.findings:
@@ -486,10 +501,10 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
         return
     changed.sort(key=lambda pair: -abs(pair[1]))
     shifts = ", ".join(f"{name} {in_u:+.1f} u" for name, in_u in changed)
-    out.print(typeset(f"Change of the coefficients, in units of u with the given model: {shifts}"))
+    out.print(typeset(message(f"Change of the coefficients, in units of u with the given model: {shifts}")))
     wider = words.less_certain(coefficients)
     if wider:
-        out.print(f"  larger u with the effects found: {', '.join(wider)}")
+        out.print(message(f"  larger u with the effects found: {', '.join(wider)}"))
 
 
 SIDE_BY_SIDE: Final = 4
@@ -498,7 +513,9 @@ SIDE_BY_SIDE: Final = 4
 
 def _blocks(full: FullDiagnosis, out: Console) -> None:
     changed = any(block.after is not None for block in full.blocks)
-    out.print(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
+    out.print(
+        message(f"Coefficients of each block{', with the effects found' if changed else ''}; u in brackets:")
+    )
     numbered = list(enumerate(full.blocks, start=1))
     for first in range(0, len(numbered), SIDE_BY_SIDE):
         shown = numbered[first : first + SIDE_BY_SIDE]
@@ -509,43 +526,50 @@ def _blocks(full: FullDiagnosis, out: Console) -> None:
         tests = [block.last for _, block in shown]
         rows.add_row("p", *(typeset(words.p_in_column(of.test.p, 2)) if of.tested else "–" for of in tests))
         out.print(rows)
-    out.print("p: readings of the block against the simulated bench, compared with the scatter of repeats")
+    out.print(
+        message("p: readings of the block against the simulated bench, compared with the scatter of repeats")
+    )
 
 
 def _limits_of_sight(full: FullDiagnosis, out: Console) -> None:
     diagnosis, proposal = full.diagnosis, full.next_measurement
     if proposal is not None:
-        out.print(f"Measure next: {proposal.why} ({proposal.procedure})")
+        out.print(message(f"Measure next: {translated(proposal.why)} ({proposal.procedure})"))
     if diagnosis.hidden:
-        out.print(f"Hidden (these readings cannot show them at any size): {', '.join(diagnosis.hidden)}")
+        hidden = ", ".join(diagnosis.hidden)
+        out.print(message(f"Hidden (these readings cannot show them at any size): {hidden}"))
     if diagnosis.unseen_per_turn:
         out.print(
-            "Also hidden: an error of the head's angle that repeats "
-            f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn (equal at all measured angles)"
+            message(
+                "Also hidden: an error of the head's angle that repeats "
+                f"{words.orders_in_words(diagnosis.unseen_per_turn)} times a turn (equal at all measured angles)"
+            )
         )
     if diagnosis.absent:
-        out.print("Not searched:")
+        out.print(message("Not searched:"))
         for why, names in words.absent_by_reason(diagnosis.absent):
             out.print(f"  {', '.join(names)}: {why}")
     if diagnosis.verdict == "agrees":
         sizes = words.smallest_found(diagnosis)
         out.print(
-            "Size that half of all such runs would find where the effect shows best; in other channels, "
-            "installations or forms a larger effect may be missed:"
+            message(
+                "Size that half of all such runs would find where the effect shows best; in other channels, "
+                "installations or forms a larger effect may be missed:"
+            )
         )
         listed = table("  effect", "size", "effect", "size")
         half = (len(sizes) + 1) // 2
         for left, right in zip_longest(sizes[:half], sizes[half:], fillvalue=("", "")):
-            listed.add_row(f"  {left[0]}", left[1], *right)
+            listed.add_row(f"  {left[0]}", translated(left[1]), right[0], translated(right[1]))
         out.print(listed)
 
 
 def print_files(diagnosis: Findings, files: Files, out: Console) -> None:
     """Print the files that were written; for the verdict "confounded", also why there is no model file."""
     report = () if files.report is None else (files.report,)
-    told = {"corrected copy of the readings": files.copies, "model": files.models, "report": report}
+    told = {message("corrected copy of the readings"): files.copies, "model": files.models, "report": report}
     for what, paths in told.items():
         for file in paths:
             out.print(f"{what}: {file}")
     if diagnosis.of_copy == "confounded" and files.model is None:
-        out.print(f"no model file was written {words.why_no_model(diagnosis)}")
+        out.print(message(f"no model file was written {words.why_no_model(diagnosis)}"))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Mask
-from bench.base.languages import message
+from bench.base.languages import message, translated
 from bench.base.numbers import (
     MINUS,
     Scale,
@@ -32,6 +32,7 @@ from bench.model import CATALOGUE, Effect
 from bench.results import diagnosis_words as words
 from bench.results import plots
 from bench.results.diagnosis_words import Files
+from bench.results.form_words import form_in_words
 from bench.results.tables import Row, page, symbol
 
 if TYPE_CHECKING:
@@ -79,10 +80,11 @@ def render_diagnosis(
         residuals=_residuals(shown),
         in_time=in_time(shown),
         modulus=modulus_at_points(shown, limit_g) if shown.before.points else None,
+        form=list(form_in_words(diagnosis)),
         apart=_apart(diagnosis),
         catalogue=CATALOGUE,
         smallest=[
-            Row(name, size.replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence)
+            Row(name, translated(size).replace(" ", "\N{NO-BREAK SPACE}"), CATALOGUE[name].sentence)
             for name, size in words.smallest_found(diagnosis)
         ],
         setting=f"{two_digits(diagnosis.noise.setting_arcsec)}″",
@@ -129,7 +131,7 @@ def held_out_rows(gap: Gap) -> list[Row]:
     rows = [
         Row(
             fold.label,
-            ", ".join(fold.gains) or "nothing",
+            ", ".join(map(translated, fold.gains)) or "nothing",
             f"{fold.before.reduced:.2f}",
             f"{fold.after.reduced:.2f}",
         )
@@ -224,7 +226,7 @@ def residuals_of_mount(shown: ModelComparison, mount: int) -> str:
     """Return a plot of residuals against head angle in one mounting: a row per channel, a column per model."""
     columns = [(title, c, [plots.mounts_of(c)[mount][1]]) for title, c in columns_of(shown)]
     name = str(plots.mounts_of(shown.before.calibration)[mount][0])
-    titles = ", ".join(title for title, _, _ in columns)
+    titles = ", ".join(translated(title) for title, _, _ in columns)
     alt = message(f"Residuals of channels x, y, z in installation {name} against head angle: {titles}")
     return plots.residuals_against_angle(
         f"diagnosis-mount-{mount}", (7.6, 5.4), columns, common_scale(shown), alt
@@ -304,9 +306,10 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
         axes.margins(x=0.12)
         figure.legend(loc="outside upper center", ncols=3)
 
-    alt = message(f"Evidence of {named} and of its rivals: ") + ", ".join(
+    listed = ", ".join(
         f"{rival.family} {rival.evidence:.1f}".replace("-", MINUS) for rival in reversed(ordered)
     )
+    alt = message(f"Evidence of {named} and of its rivals: {listed}")
     return plots.svg_figure(f"diagnosis-ranking-{number}", (6.4, 1.1 + 0.24 * len(ordered)), draw, alt)
 
 

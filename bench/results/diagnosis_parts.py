@@ -10,6 +10,7 @@ import numpy as np
 from pydantic import BeforeValidator, Field
 
 from bench.base.arrays import CHANNELS, rms
+from bench.base.languages import message
 from bench.base.result_model import Real, ResultModel
 from bench.calibration import Calibration
 from bench.diagnosis.free_records import BetweenRecords
@@ -457,9 +458,11 @@ def _term_part(term: FormTerm) -> TermPart:
 
 
 MEANING: Final = {
-    "restart": "a value of its own in each repeat",
-    "drift": "a random walk from one repeat to the next",
-    "scale": "a value of its own in each repeat, in proportion to u, as where each repeat drifts within itself",
+    "restart": message("a value of its own in each repeat"),
+    "drift": message("a random walk from one repeat to the next"),
+    "scale": message(
+        "a value of its own in each repeat, in proportion to u, as where each repeat drifts within itself"
+    ),
 }
 
 
@@ -508,11 +511,13 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
 
     `where` says which repeats, such as "between records". `sizes` states the term added to u in words, by channel.
     """
-    text = f"repeats {where} scatter {found.scatter:.2g} × u"
-    if found.term is None or found.held_before is None or found.held_after is None:
-        return text + ("; too few to leave one out" if found.held_before is None else ": u is honest")
+    text = message(f"repeats {where} scatter {found.scatter:.2g} × u")
+    if found.held_before is None:
+        return message(f"{text}; too few to leave one out")
+    if found.term is None or found.held_after is None:
+        return message(f"{text}: u is honest")
     after = found.held_after
-    return (
+    return message(
         f"{text}; with the term {found.term.name} ({', '.join(sizes)}; {MEANING[found.term.name]}) one left out "
         f"scatters {after.value:.2g} × u (95 %: {after.low:.2g} to {after.high:.2g}), without it "
         f"{found.held_before.value:.2g} × u"
@@ -571,4 +576,4 @@ def between_part(found: BetweenRecords) -> BetweenRecordsPart:
 def repeats_between(between: BetweenRecords) -> str:
     """Return a sentence on how biases (zeros) scatter between records, and the term to add to their u."""
     sizes = [f"{c} {size}" for c, size in zip(CHANNELS, between.term_sizes(), strict=False)]
-    return repeats_told(between.repeats, "between records", sizes)
+    return repeats_told(between.repeats, message("between records"), sizes)

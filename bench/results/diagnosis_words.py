@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -10,23 +11,21 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from bench.base.languages import message
+from bench.base.languages import message, translated
 from bench.base.numbers import fixed, quantity, rounded, two_digits, uncertainty
 from bench.base.text import LISTED_IN_SENTENCE, as_typed
 from bench.diagnosis.gap import Gap
 from bench.diagnosis.levels import BY_CHANCE
 from bench.diagnosis.mistakes.search import Mistake
 from bench.diagnosis.next_measurement import Proposal
-from bench.diagnosis.pipeline import FullDiagnosis, Rival, values_of
+from bench.diagnosis.pipeline import FullDiagnosis, Rival
 from bench.diagnosis.result import (
     UNNAMED_WORDS,
     Diagnosis,
     EffectValue,
     Findings,
-    FormTerm,
     FreeForm,
     NamedEffect,
-    UnexplainedScatter,
 )
 from bench.diagnosis.show import CoefficientChange, ModelComparison, label
 from bench.diagnosis.visibility import ResidualPattern
@@ -76,9 +75,38 @@ STILL_MISSING: Final = message(
 )
 
 
+GAP: Final = message("gap: misfit of held-out readings (the fit does not use them)")
+"""The meaning of "gap", for its first use on the terminal."""
+
 LOUD_REPEATS: Final = message(
     "the scatter of repeats is larger than stated; this test does not show the cause"
 )
+
+
+_CLAUSE: Final = re.compile(r"; (?![^(]*\))")
+"""What separates clauses, outside brackets."""
+_OF_CHANNELS: Final = re.compile(r"(.*) of ([xyz](?:, [xyz])*)")
+
+
+def by_clause(text: str) -> str:
+    """Return a text of a diagnosis in the current language, each clause by itself."""
+    return "; ".join(map(_clause, _CLAUSE.split(text)))
+
+
+def _clause(text: str) -> str:
+    """Return a clause; without a translation, a bracket or channels at its end are translated by themselves."""
+    said = translated(text)
+    if (said == text or "; " in text) and (found := re.fullmatch(r"(.*?) \((.*)\)", text)):
+        return f"{_clause(found[1])} ({by_clause(found[2])})"
+    if said == text and (found := _OF_CHANNELS.fullmatch(text)) and translated(found[1]) != found[1]:
+        return f"{translated(found[1])}, {translated(message(f'channel {found[2]}'))}"
+    return said
+
+
+def sentence(text: str) -> str:
+    """Return `by_clause` of a text, beginning with a capital letter."""
+    said = by_clause(text)
+    return said[:1].upper() + said[1:]
 
 
 def unit_in_print(unit: str) -> str:
@@ -103,31 +131,31 @@ def effect_title(effect: NamedEffect | Mistake) -> str:
     of_channels = entry is None or any(parameter.per_channel for parameter in entry.parameters)
     if effect.channels and of_channels:
         title += f" of {', '.join(effect.channels)}"
-    if effect.installations:
-        title += in_installations(effect.installations)
-    return title
+    return placed(title, effect.installations)
 
 
-def in_installations(names: Sequence[str]) -> str:
-    """Return the place of an effect in words: " in installations 1, 2" or, in free positions, " in sensor 2"."""
+def placed(what: str, names: Sequence[str]) -> str:
+    """Return `what` with its place: "… in installations 1, 2" or, in free positions, "… in sensor 2"."""
     listed = ", ".join(names)
-    if listed.startswith("sensor"):
-        return f" in {listed}"
-    return message(f" in installation{'s' if len(names) > 1 else ''} {listed}")
+    if not names:
+        return what
+    if listed.startswith("sensor "):
+        return message(f"{what} in sensor {listed.removeprefix('sensor ')}")
+    return message(f"{what} in installation{'s' if len(names) > 1 else ''} {listed}")
 
 
 def mistake_title(mistake: Mistake) -> str:
     """Return the name of a mistake with its place: "outlier of z in installation 2, pass 1, point 5"."""
-    numbers = [("pass", mistake.pass_number), ("point", mistake.point)]
-    return ", ".join([effect_title(mistake), *(f"{what} {n}" for what, n in numbers if n is not None)])
+    title, number, point = effect_title(mistake), mistake.pass_number, mistake.point
+    if number is not None:
+        title += message(f", pass {number}")
+    return title if point is None else title + message(f", point {point}")
 
 
 def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
     """Yield a line for each parameter, such as "K2 of y = 58.1 ± 5.2 µg/g² (u)"."""
     for value in effect.parameters:
-        yield parameter_in_words(
-            value, in_installations([value.installations]) if value.installations else ""
-        )
+        yield parameter_in_words(value, (value.installations,) if value.installations else ())
     for one in effect.together:
         yield message(
             f"{one.combination} of {one.parameter} of {' and '.join(one.of)} = "
@@ -135,16 +163,19 @@ def parameters_in_words(effect: NamedEffect) -> Iterator[str]:
         )
 
 
-def parameter_in_words(value: EffectValue, at: str) -> str:
-    """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` is its place in words, or ""."""
+def parameter_in_words(value: EffectValue, at: Sequence[str] = ()) -> str:
+    """Return a parameter with its value: "K2 of y = 58.1 ± 5.2 µg/g² (u)"; `at` names its installations."""
     if value.u is None:
         size = message(
             f"{with_unit(format(value.value, 'g'), value.unit)} (the likeliest of the values tried)"
         )
     else:
         size = with_u(value.value, value.u, value.unit)
+    size = translated(size)
+    if value.channel and not at:
+        return message(f"{value.parameter} of {value.channel} = {size}")
     of = f" of {value.channel}" if value.channel else ""
-    return f"{value.parameter}{of}{at} = {size}"
+    return f"{placed(f'{value.parameter}{of}', at)} = {size}"
 
 
 def with_u(value: float, u: float, unit: str) -> str:
@@ -187,9 +218,10 @@ def place_in_words(place: ResidualPattern) -> str:
     if place.installation == "all":
         where += message(", whole run")
     elif place.channel != "modulus":
-        where += f", installation {place.installation}"
+        where = message(f"channel {place.channel}, installation {place.installation}")
     size = quantity(place.size, place.unit)
-    return message(f"{where}: {place.pattern}, {size} ({p_in_words(place.p)}, corrected for multiple tests)")
+    pattern = translated(place.pattern)
+    return message(f"{where}: {pattern}, {size} ({p_in_words(place.p)}, corrected for multiple tests)")
 
 
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
@@ -204,8 +236,9 @@ def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
             continue
         if name in diagnosis.smallest:
             told = [
-                with_unit(two_digits(one.size), one.unit)
-                + (message(" in the part that shows") if one.part else "")
+                message(f"{with_unit(two_digits(one.size), one.unit)} in the part that shows")
+                if one.part
+                else with_unit(two_digits(one.size), one.unit)
                 for one in diagnosis.smallest[name]
             ]
             sizes.append((name, " or ".join(told)))
@@ -281,10 +314,10 @@ def gap_in_words(gap: Gap) -> str:
     return message(f"{told}, on held-out readings")
 
 
-def verdict_in_words(diagnosis: Diagnosis) -> str:
-    """Return the findings, the gap and the warnings of a diagnosis as a sentence without a full stop."""
+def verdict_in_words(diagnosis: Diagnosis) -> list[str]:
+    """Return the findings, the gap and the warnings of a diagnosis as clauses of a sentence."""
     told = [what_in_words(diagnosis), gap_of_verdict(diagnosis), *warnings_in_words(diagnosis)]
-    return "; ".join(filter(None, told))
+    return list(filter(None, told))
 
 
 LIKELY: Final = 0.3
@@ -296,15 +329,21 @@ def surer_in_words(proposal: Proposal | None) -> str:
     one = None if proposal is None else proposal.surer
     if one is None:
         return ""
-    what = f"procedure '{one.procedure}' ({one.hours:.1f} h) leaves one name with a probability of "
+    procedure, chance = f"'{one.procedure}' ({one.hours:.1f} h)", _percent(one.answers)
     if one.answers < LIKELY:
-        return f"no procedure is likely to decide: {what}only {_percent(one.answers)}"
-    return f"to decide: {what}{_percent(one.answers)}"
+        return message(
+            f"no procedure is likely to decide: procedure {procedure} leaves one name with a probability of "
+            f"only {chance}"
+        )
+    return message(f"to decide: procedure {procedure} leaves one name with a probability of {chance}")
 
 
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model."""
-    yield from (kind.headline for kind in diagnosis.noise_kinds)
+    """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model.
+
+    Of unusual noise it is the part before the colon, already in the current language.
+    """
+    yield from (translated(kind.words).partition(":")[0] for kind in diagnosis.noise_kinds)
     if diagnosis.far:
         listed = "; ".join(one.words for one in diagnosis.far[:LISTED_IN_SENTENCE])
         more = (
@@ -346,7 +385,7 @@ def what_in_words(diagnosis: Diagnosis) -> str:
                 " or ".join([mistake_title(mistake), *mistake.cannot_tell_from])
                 for mistake in diagnosis.mistakes.mistakes
             )
-            return message(f"{found}; corrected copy: {_of_copy_in_words(diagnosis)}")
+            return f"{found}; " + message(f"corrected copy: {_of_copy_in_words(diagnosis)}")
         case "named" | "confounded":
             return "; ".join(map(named_in_words, effects))
     return "; ".join([*(effect.words for effect in effects), *(one.words for one in diagnosis.findings)])
@@ -357,15 +396,15 @@ def what_to_do(full: FullDiagnosis, files: Files) -> Iterator[str]:
     diagnosis, source = full.diagnosis, as_typed(full.source)
     model = None if files.model is None else as_typed(files.model)
     if diagnosis.verdict == "mistake":
-        yield message("Correct it on the bench and measure again") + (
-            message(f"; until then the corrected copy is {files.copy}") if files.copy else ""
-        )
+        again = message("Correct it on the bench and measure again")
+        copy = message(f"until then the corrected copy is {files.copy}") if files.copy else ""
+        yield "; ".join(filter(None, [again, copy]))
     if model is not None:
         yield message(f"Use the model: bench calibrate {source} --model {model}")
         yield message(f"Test it with new readings: bench confirm NEW --model {model}")
     if diagnosis.of_copy == "confounded":
         if full.next_measurement is not None:
-            yield f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}"
+            yield message(f"Measure {full.next_measurement.procedure}: {full.next_measurement.why}")
         elif diagnosis.gap.reason:
             yield message(
                 "Repeat the measurement with more passes, and diagnose both runs: bench diagnose … --together"
@@ -409,7 +448,9 @@ def found_in_words(diagnosis: Findings, nothing: str) -> str:
 def readings_named(source: str) -> str:
     """Return a short form of joined names of readings files: "a + b", or "a … z (5 readings files)"."""
     first, *others = source.split(" + ")
-    return f"{first} … {others[-1]} ({1 + len(others)} readings files)" if len(others) > 1 else source
+    return (
+        message(f"{first} … {others[-1]} ({1 + len(others)} readings files)") if len(others) > 1 else source
+    )
 
 
 def evidence_of(found: FreeDiagnosis | RecordDiagnosis, gap: str) -> dict[str, str]:
@@ -514,74 +555,9 @@ def less_certain(coefficients: Mapping[str, CoefficientChange]) -> list[str]:
     """Return the coefficients whose u more than doubles with the effects found, as "Kyz (u 249 times)"."""
     grown = [(name, one.u_after / one.u_before) for name, one in coefficients.items() if one.u_before > 0]
     grown.sort(key=lambda pair: -pair[1])
-    return [f"{name} (u {two_digits(times)} times)" for name, times in grown if times > MUCH_LESS_CERTAIN]
-
-
-def term_in_words(term: FormTerm) -> str:
-    """Return a line such as "unnamed_1: A * (time > t), added at the block output; A of y = 70 ± 4 µg (u)"."""
-    effect = term.effect
-    added = f" to {effect.adds_to}" if effect.adds_to else ""
-    sizes = [parameter_in_words(size, "") for size in values_of((term.applied,)) if size.u is not None]
-    constants = [
-        f"{p.name} = {with_unit(format(p.default / p.si_per_unit, 'g'), p.unit)}"
-        for p in effect.parameters
-        if p.is_shape
+    return [
+        message(f"{name} (u {two_digits(times)} times)") for name, times in grown if times > MUCH_LESS_CERTAIN
     ]
-    where = message(f"added{added} at the {effect.stage.value}")
-    return f"{effect.name}: {effect.expression}, {where}; {', '.join([*sizes, *constants])}"
-
-
-def form_in_words(diagnosis: Diagnosis) -> Iterator[str]:
-    """Yield lines on the terms that describe an unnamed effect; none if terms were not searched for."""
-    form = diagnosis.form
-    if form is None:
-        return
-    if not form.terms and any(not effect.in_catalogue for effect in diagnosis.effects):
-        yield message("no formula of the dictionary describes it")
-    if form.instead_of and form.terms:
-        yield message(f"as plausible as {', '.join(dict.fromkeys(form.instead_of))}, but without a name:")
-    elif form.instead_of:
-        yield message("the remaining residuals suggest an effect without a name; it is too small to describe")
-    for term in form.terms:
-        yield term_in_words(term)
-        also = (
-            message(f"; other forms that fit: {'; '.join(term.could_also_be)}") if term.could_also_be else ""
-        )
-        yield message(f"that is {term.family}; ρ = {term.rho:.1f}{also}")
-    if form.terms and form.gap.folds:
-        closed = (
-            ""
-            if form.gap.closed is None
-            else message(f", which closes {100 * form.gap.closed:.0f} % of the gap")
-        )
-        yield message(
-            f"held-out readings: reduced chi-square {form.gap.before:.2f} before, {form.gap.after:.2f} with "
-            f"the terms that the other readings show{closed}"
-        )
-    if form.terms and not form.predicts:
-        yield message(
-            "too little for a model file: the terms describe these readings but do not predict others"
-        )
-    if form.scatter is not None:
-        one = form.scatter
-        sizes = message(
-            f"{quantity(one.sd, form.unit)} there, {quantity(one.elsewhere, form.unit)} elsewhere"
-        )
-        yield message(f"scatter without a form: {one.words}, {sizes}")
-    if form.terms or form.scatter is not None:
-        yield _dark_in_words(form.dark, form.unit)
-
-
-def _dark_in_words(dark: UnexplainedScatter, unit: str) -> str:
-    if not np.isfinite(dark.upper):
-        return message("the unexplained scatter cannot be determined: all readings are repeats")
-    limit = message(f"less than {quantity(dark.upper, unit)} (95 %)")
-    if not dark.there:
-        return message(
-            f"the unexplained scatter of each reading is no larger than chance (p = {dark.p:.2g}): {limit}"
-        )
-    sizes = message(f"{quantity(dark.value, unit)} in each reading, u {quantity(dark.u, unit)}, {limit}")
-    return message(f"unexplained scatter (dark uncertainty): {sizes}")
 
 
 def dark_for_model(form: FreeForm) -> str | None:

@@ -11,6 +11,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import rms
+from bench.base.languages import message, translated
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes
@@ -21,7 +22,7 @@ from bench.model.effects import CATALOGUE
 from bench.model.geometry import COEFFICIENTS
 from bench.results import diagnosis_page as pages
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis import print_effect, print_files, print_gap
+from bench.results.diagnosis import print_effect, print_files, print_gap, print_verdict
 from bench.results.diagnosis_parts import (
     AloneResult,
     BetweenRecordsPart,
@@ -103,7 +104,7 @@ def _outlier(text: str) -> FoundPart:
 
 # --- text -------------------------------------------------------------------------------------------
 
-NOTHING: Final = "nine coefficients of each sensor explain the positions within their scatter"
+NOTHING: Final = message("nine coefficients of each sensor explain the positions within their scatter")
 
 
 def what_in_words(found: FreeDiagnosis) -> str:
@@ -112,65 +113,78 @@ def what_in_words(found: FreeDiagnosis) -> str:
     if not found.apart:
         return rest
     count = len(found.apart)
-    return f"{OUTLIER}: {count} outlying position{'s' * (count > 1)}; in the other positions: {rest}"
+    return message(
+        f"{OUTLIER}: {count} outlying position{'' if count == 1 else 's'}; in the other positions: {rest}"
+    )
+
+
+def apart_in_words(text: str) -> str:
+    """Return a sentence on an outlying position in the current language, its place part by part."""
+    place, _, said = text.partition(": ")
+    return f"{', '.join(map(translated, place.split(', ')))}: {translated(said)}"
 
 
 def what_to_do(found: FreeDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow the diagnosis, with the command to type."""
     several = found.records * found.rows.sensors > 1
-    source = "each record" if several else as_typed(found.source)
+    source = message("each record") if several else as_typed(found.source)
     if found.apart:
-        yield "Measure the outlying positions again, at rest" + (
-            f"; until then the corrected copy is {', '.join(map(str, files.copies))}" if files.copies else ""
-        )
+        again = message("Measure the outlying positions again, at rest")
+        copies = ", ".join(map(str, files.copies))
+        copy = message(f"until then the corrected copy is {copies}") if copies else ""
+        yield "; ".join(filter(None, [again, copy]))
     for number, model in enumerate(files.models, start=1):
-        of = f" of sensor {number}" if len(files.models) > 1 else ""
-        yield f"Use the model{of}: bench calibrate {source} --model {as_typed(model)}"
-        yield f"Test it with new readings{of}: bench confirm NEW --model {as_typed(model)}"
+        of = message(f" of sensor {number}") if len(files.models) > 1 else ""
+        yield message(f"Use the model{of}: bench calibrate {source} --model {as_typed(model)}")
+        yield message(f"Test it with new readings{of}: bench confirm NEW --model {as_typed(model)}")
     if found.between is not None and (line := found.between.in_bench_file()):
-        yield (
+        yield message(
             f"{repeats_between(found.between)}. Add this line to the bench file, so that u of calibrations "
             f"includes it: {line}"
         )
     names = {one.name for one in found.effects}
     if "zeros_by_run" in names or "scale_by_run" in names:
-        yield (
+        yield message(
             "Calibrate each record separately (bench calibrate RECORD), and note what differs between records: "
             "time since switch-on, temperature, operator"
         )
     elif found.of_copy == "unknown":
-        yield "Repeat the measurement: an effect that returns belongs to the sensor; see below where it acts"
+        yield message(
+            "Repeat the measurement: an effect that returns belongs to the sensor; see below where it acts"
+        )
     elif found.of_copy == "confounded":
-        yield "Measure more positions in all directions, and diagnose both runs: bench diagnose … --together"
+        yield message(
+            "Measure more positions in all directions, and diagnose both runs: bench diagnose … --together"
+        )
     elif found.verdict == "agrees":
-        yield f"Nothing; use the coefficients: bench calibrate {source}"
+        yield message(f"Nothing; use the coefficients: bench calibrate {source}")
 
 
 def print_found(found: FreeDiagnosis, files: Files, out: Console) -> None:
     """Print the findings in free positions in the order of the search, and the files that were written."""
     rows = found.rows
     out.print(
-        f"{len(rows)} free positions, {rows.sensors} sensor{'s' * (rows.sensors > 1)}, {found.records} "
-        f"record{'s' * (found.records > 1)}: only |a| = 1 g is known of them"
+        message(
+            f"{len(rows)} free positions, {rows.sensors} sensor{'s' if rows.sensors > 1 else ''}, {found.records} "
+            f"record{'s' if found.records > 1 else ''}: only |a| = 1 g is known of them"
+        )
     )
     print_notes(out, found.notes)
     for text in found.apart:
-        out.print(f"Mistake: outlier: {text}", style="bold")
+        out.print(message(f"Mistake: {OUTLIER}: {apart_in_words(text)}"), style="bold")
     for place in found.where:
-        out.print(f"  {place.pattern}: |a| is off by {quantity(place.size, 'g')} (rms)")
+        out.print(message(f"  {place.pattern}: |a| is off by {quantity(place.size, 'g')} (rms)"))
     for one in found.effects:
         print_effect(one, (), out)
     if found.between is not None:
-        out.print(typeset(f"Zeros: {repeats_between(found.between)}"))
+        out.print(typeset(message(f"Zeros: {repeats_between(found.between)}")))
         if line := found.between.in_bench_file():
-            out.print(f"  for u of calibrations, add to the bench file: {line}")
+            out.print(message(f"  for u of calibrations, add to the bench file: {line}"))
     if found.effects:
         print_gap(found.gap, out)
     print_files(found, files, out)
-    told = "; ".join(filter(None, [what_in_words(found), words.gap_of_verdict(found)]))
-    out.print(
-        typeset(f"{words.readings_named(found.source)}: {words.lead(found).upper()}: {told}"), style="bold"
-    )
+    source, gap = words.readings_named(found.source), words.gap_of_verdict(found)
+    print_verdict(source, found, what_in_words(found), [gap], out)
 
 
 def evidence_in_words(found: FreeDiagnosis) -> dict[str, str]:
@@ -216,15 +230,16 @@ def overlay_of_sensor(found: FreeDiagnosis, sensor: int) -> str:
                 axes.axvline(edge, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
 
     return pages.overlay(
-        f"free-overlay-{sensor}", f"sensor {sensor + 1}", (size, scale), draw,
-        "position, in the order of measurement", found=bool(found.effects),
+        f"free-overlay-{sensor}", message(f"sensor {sensor + 1}"), (size, scale), draw,
+        message("position, in the order of measurement"), found=bool(found.effects),
     )  # fmt: skip
 
 
 def modulus_in_time(found: FreeDiagnosis) -> str:
     """Return a plot of |a| - 1 g against the time in a record, without and with the effects found."""
     rows = found.rows
-    fits = [("given model", found.before), ("with the effects found", found.after)][: 1 + bool(found.effects)]
+    fits = [(message("given model"), found.before), (message("with the effects found"), found.after)]
+    fits = fits[: 1 + bool(found.effects)]
     scale = scale_for(float(np.max(np.abs(found.before.left))), "g")
     time_s = np.concatenate([table.conditions().elapsed_s for table in rows.tables])
     for record in np.unique(rows.record):
@@ -237,7 +252,7 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
             for number in (2.0, -2.0):
                 axes.axhline(
                     number * found.noise.reading / scale.size, color=GREY, linestyle=(0, (6, 3)), linewidth=0.9,
-                    label="two standard deviations of the noise",
+                    label=message("two standard deviations of the noise"),
                 )  # fmt: skip
             for record in np.unique(rows.record):
                 for sensor in range(rows.sensors):
@@ -246,14 +261,16 @@ def modulus_in_time(found: FreeDiagnosis) -> str:
                         time_s[mine] / 60.0, fit.left[mine] / scale.size, MARKS[sensor % len(MARKS)],
                         color=PASS_COLOURS[record % len(PASS_COLOURS)],
                         fillstyle=PASS_FILLS[record // len(PASS_COLOURS) % len(PASS_FILLS)], markersize=3.5,
-                        label=f"record {record + 1}" if sensor == 0 else None,
+                        label=message(f"record {record + 1}") if sensor == 0 else None,
                     )  # fmt: skip
             axes.set_title(title)
-            axes.set_xlabel("time in the record / min")
+            axes.set_xlabel(message("time in the record / min"))
         grid[0, 0].set_ylabel(f"|a| − 1 g / {scale.unit}")
         figure.legend(*legend_of(grid.flat), loc="outside upper center", ncols=5)
 
-    alt = "The modulus of the specific force minus 1 g against the time in its record, before and after"
+    alt = message(
+        "The modulus of the specific force minus 1 g against the time in its record, before and after"
+    )
     return svg_figure("free-time", (7.6, 3.4), draw, alt)
 
 
@@ -269,8 +286,8 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
         for sensor in range(rows.sensors):
             at = np.arange(len(records)) + (sensor - (rows.sensors - 1) / 2) * width
             for fit, colour, part, what in (
-                (found.before, VERMILION, 1.0, "given model"),
-                (found.after, BLUE, 0.55, "with the effects found"),
+                (found.before, VERMILION, 1.0, message("given model")),
+                (found.after, BLUE, 0.55, message("with the effects found")),
             ):
                 if fit is found.before or found.effects:
                     sizes = [rms(fit.left[(rows.record == r) & (rows.sensor == sensor)]) for r in records]
@@ -283,14 +300,16 @@ def modulus_by_record(found: FreeDiagnosis) -> str:
             color=GREY,
             linestyle=(0, (6, 3)),
             linewidth=1.1,
-            label="noise alone",
+            label=message("noise alone"),
         )
-        axes.set_xticks(np.arange(len(records)), [f"record {r + 1}" for r in records])
+        axes.set_xticks(np.arange(len(records)), [message(f"record {r + 1}") for r in records])
         axes.grid(visible=False, axis="x")
-        axes.set_ylabel(f"|a| − 1 g, rms / {scale.unit}")
+        axes.set_ylabel(message(f"|a| − 1 g, rms / {scale.unit}"))
         figure.legend(*legend_of(iter([axes])), loc="outside upper center", ncols=3)
 
-    alt = f"Root mean square of the modulus minus 1 g in {len(records)} records of {rows.sensors} sensors"
+    alt = message(
+        f"Root mean square of the modulus minus 1 g in {len(records)} records of {rows.sensors} sensors"
+    )
     return svg_figure("free-records", (6.4, 3.0), draw, alt)
 
 
@@ -318,6 +337,7 @@ def render(
             (sensor, pages.coefficient_rows(_coefficients(found, sensor), found.rows.tables[0].unit))
             for sensor in range(found.rows.sensors)
         ],
+        apart=list(map(apart_in_words, found.apart)),
         zeros=list(_zeros(found)),
         models=files.models,
         hidden=[CATALOGUE[name] for name in found.hidden],
@@ -339,7 +359,7 @@ def _zeros(found: FreeDiagnosis) -> Iterator[Row]:
     for sensor, (zeros, of_u) in enumerate(zip(between.zero, between.u, strict=True)):
         for record, (values, u) in enumerate(zip(1e3 * zeros, 1e3 * of_u, strict=True)):
             cells = tuple(
-                concise(value, of_value) if np.isfinite(value) else "not determined"
+                concise(value, of_value) if np.isfinite(value) else message("not determined")
                 for value, of_value in zip(values.tolist(), u.tolist(), strict=True)
             )
-            yield Row(f"sensor {sensor + 1}, record {record + 1}", *cells)
+            yield Row(message(f"sensor {sensor + 1}, record {record + 1}"), *cells)

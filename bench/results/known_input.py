@@ -12,6 +12,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import Floats, rms
+from bench.base.languages import message
 from bench.base.numbers import concise, quantity, scale_for, typeset
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
@@ -23,7 +24,7 @@ from bench.diagnosis.record_diagnosis import RecordDiagnosis, Rival
 from bench.diagnosis.record_model import Record
 from bench.history.stability import Stability
 from bench.results import diagnosis_words as words
-from bench.results.diagnosis import print_effect, print_files
+from bench.results.diagnosis import print_effect, print_files, print_verdict
 from bench.results.diagnosis_page import render_alone
 from bench.results.diagnosis_parts import (
     AloneResult,
@@ -106,12 +107,12 @@ def _gap_part(gap: Gap) -> GapPart:
 
 def _trend_in_words(record: Record) -> str:
     """Return what each channel equals without effects; a gain is fitted if the reference has several levels."""
-    return f"{'gain × ' if record.several_levels else 'the '}reference plus a zero and a drift"
+    return message(f"{'gain × ' if record.several_levels else 'the '}reference plus a zero and a drift")
 
 
 def what_in_words(found: RecordDiagnosis) -> str:
     """Return the findings as a sentence without a full stop."""
-    nothing = f"within the noise each channel equals {_trend_in_words(found.record)}"
+    nothing = message(f"within the noise each channel equals {_trend_in_words(found.record)}")
     return "; ".join([words.found_in_words(found, nothing), *found.far[:LISTED_IN_SENTENCE]])
 
 
@@ -120,7 +121,7 @@ def gap_told(found: RecordDiagnosis) -> str:
     gap = found.gap
     if not gap.folds:
         return ""
-    return (
+    return message(
         f"held-out excursions: residuals {quantity(gap.before_rms, 'V')} before, "
         f"{quantity(gap.after_rms, 'V')} after (rms); "
         f"reduced chi-square {gap.before:.2f} before, {gap.after:.2f} after (noise alone: 1)"
@@ -133,7 +134,7 @@ def rivals_told(found: RecordDiagnosis) -> str:
         return ""
     ordered = sorted(found.rivals, key=lambda one: one.chi2)
     listed = ", ".join(f"{one.what} {quantity(one.held_out_rms_v, 'V')}" for one in ordered)
-    return f"{ordered[0].what} predicts held-out excursions best; residuals: {listed} (rms)"
+    return message(f"{ordered[0].what} predicts held-out excursions best; residuals: {listed} (rms)")
 
 
 def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
@@ -143,7 +144,7 @@ def channel_lines(found: RecordDiagnosis) -> Iterator[str]:
             concise(1e6 * value, 1e6 * u)
             for value, u in ((fit.zero_v, fit.u_zero_v), (fit.drift_v_h, fit.u_drift_v_h))
         )
-        yield (
+        yield message(
             f"{fit.channel}: zero {zero} µV, drift {drift} µV/h; "
             f"residuals {quantity(rms(fit.before_v), 'V')} before, "
             f"{quantity(rms(fit.residual_v), 'V')} after (rms)"
@@ -154,8 +155,10 @@ def print_found(found: RecordDiagnosis, files: Files, out: Console) -> None:
     """Print the diagnosis of a record, and the files that were written; the verdict comes last."""
     record = found.record
     out.print(
-        f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h, "
-        f"channel{'s' * (len(record.channels) > 1)} {', '.join(fit.channel for fit in found.fits)}"
+        message(
+            f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h, "
+            f"channel{'s' if len(record.channels) > 1 else ''} {', '.join(fit.channel for fit in found.fits)}"
+        )
     )
     print_notes(out, found.notes)
     for one in found.effects:
@@ -164,18 +167,18 @@ def print_found(found: RecordDiagnosis, files: Files, out: Console) -> None:
         if line:
             out.print(typeset(line[0].upper() + line[1:] if line[1] != ":" else line))
     print_files(found, files, out)
-    out.print(typeset(f"{found.source}: {words.lead(found).upper()}: {what_in_words(found)}"), style="bold")
+    print_verdict(found.source, found, what_in_words(found), [], out)
 
 
 def what_to_do(found: RecordDiagnosis, files: Files) -> Iterator[str]:
     """Yield a sentence on each step that should follow, with the command to type."""
     for one in found.effects:
         if one.applied and one.cannot_tell_from:
-            yield f"To separate {words.alike_in_words([one])}: {one.applied[0].effect.shown_by}"
+            yield message(f"To separate {words.alike_in_words([one])}: {one.applied[0].effect.shown_by}")
     for model in files.models:
-        yield f"Test it with a new record: bench confirm NEW --model {model}"
+        yield message(f"Test it with a new record: bench confirm NEW --model {model}")
     if found.verdict == "unknown":
-        yield "Record again, and note possible causes with their times"
+        yield message("Record again, and note possible causes with their times")
 
 
 def evidence_in_words(found: RecordDiagnosis) -> dict[str, str]:
@@ -197,14 +200,17 @@ def course_figure(time_h: Floats, courses: Sequence[tuple[str, Floats, Floats]])
         rows = figure.subplots(len(courses), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (channel, before, after) in zip(rows, courses, strict=True):
             for course, colour, label in (
-                (before, VERMILION, "without the effects"), (after, BLUE, "with the effects found"),
+                (before, VERMILION, message("without the effects")),
+                (after, BLUE, message("with the effects found")),
             ):  # fmt: skip
                 axes.plot(time_h, course / scale.size, color=colour, linewidth=1.0, label=label)
-            axes.set_ylabel(f"{channel} − reference / {scale.unit}")
-        rows[-1].set_xlabel("time / h")
+            axes.set_ylabel(message(f"{channel} − reference / {scale.unit}"))
+        rows[-1].set_xlabel(message("time / h"))
         figure.legend(*legend_of(iter(rows)), loc="outside upper center", ncols=2)
 
-    alt = f"Signal minus reference of {len(courses)} channels over {time_h[-1]:.1f} h, without and with the effects"
+    alt = message(
+        f"Signal minus reference of {len(courses)} channels over {time_h[-1]:.1f} h, without and with the effects"
+    )
     return svg_figure("record-course", (6.4, 1.2 + 1.8 * len(courses)), draw, alt)
 
 
@@ -220,7 +226,9 @@ def render(
         found,
         provenance,
         title=title,
-        intro=f"A record at a known input: each channel equals {_trend_in_words(found.record)}, plus effects.",
+        intro=message(
+            f"A record at a known input: each channel equals {_trend_in_words(found.record)}, plus effects."
+        ),
         simulated=simulated,
         what=what_in_words(found),
         told=[line for line in (gap_told(found), rivals_told(found)) if line],
@@ -228,7 +236,7 @@ def render(
         figures=[
             (
                 course,
-                "Signal minus reference: residuals without the effects, and with the effects found.",
+                message("Signal minus reference: residuals without the effects, and with the effects found."),
             )
         ],
         listed=list(channel_lines(found)),
@@ -238,7 +246,7 @@ def render(
 # --- the calibration of meters ---------------------------------------------------------------------------
 
 
-NO_VERDICT: Final = (
+NO_VERDICT: Final = message(
     "verdicts of |a| do not apply to a record at a known input, which has no acceleration; compare gain and offset "
     "with the specification of the meter"
 )
@@ -323,7 +331,7 @@ def _value(of: Estimate | None) -> ValuePart | None:
 def headline(found: RecordCalibration) -> str:
     """Return a line with the duration of the record, its voltage, and the meaning of the values."""
     record = found.record
-    return (
+    return message(
         f"record at a known input: {len(record)} means over {record.time_h[-1]:.1f} h at {found.level_v:.6g} V, "
         "U = gain × reference + offset; ± is U, k = 2"
     )
@@ -334,14 +342,16 @@ def calibrated_lines(found: RecordCalibration) -> Iterator[str]:
     for one in found.channels:
         told = []
         if one.gain is not None:
-            told.append(f"gain = {concise(one.gain.value, one.gain.u)} (U = {2e6 * one.gain.u:.2g} ppm)")
+            told.append(
+                message(f"gain = {concise(one.gain.value, one.gain.u)} (U = {2e6 * one.gain.u:.2g} ppm)")
+            )
         if one.offset_v is not None:
-            told.append(f"offset = {_micro(one.offset_v)} µV")
+            told.append(message(f"offset = {_micro(one.offset_v)} µV"))
         told += [
-            f"drift = {_micro(one.drift_v_h)} µV/h",
-            f"residuals {quantity(rms(one.residual_v), 'V')} (rms)",
+            message(f"drift = {_micro(one.drift_v_h)} µV/h"),
+            message(f"residuals {quantity(rms(one.residual_v), 'V')} (rms)"),
         ]
-        yield f"channel {one.channel}: {', '.join(told)}"
+        yield message(f"channel {one.channel}: {', '.join(told)}")
 
 
 def _micro(of: Estimate) -> str:
@@ -364,7 +374,7 @@ def repeats_line(found: RecordCalibration) -> str:
     for (channel, unit), size in zip(shown, term.size.tolist(), strict=True) if term else ():
         told = f"{1e6 * size:.2g} ppm" if unit == "V/V" else quantity(size, "V")
         sizes.append(f"{channel} × {size:.2g}" if term and term.name == "scale" else f"{channel} {told}")
-    return repeats_told(found.repeats, "within the record", sizes)
+    return repeats_told(found.repeats, message("within the record"), sizes)
 
 
 def lines_of(found: RecordCalibration) -> list[str]:
@@ -400,7 +410,7 @@ def render_record_calibration(
     figures = [
         (
             course_figure(found.record.time_h, fits),
-            "Errors of the meters, and the residuals of gain, offset and drift.",
+            message("Errors of the meters, and the residuals of gain, offset and drift."),
         )
     ]
     if isinstance(noise, Stability):
@@ -408,13 +418,13 @@ def render_record_calibration(
         figures.append(
             (
                 allan_figure(noise, inline=True),
-                "Allan deviation and spectrum of the residuals, the drift included.",
+                message("Allan deviation and spectrum of the residuals, the drift included."),
             )
         )
     return page(
         "record.html.j2",
         title=title,
-        intro="A record at a known input: U = gain × reference + offset + drift for each channel.",
+        intro=message("A record at a known input: U = gain × reference + offset + drift for each channel."),
         simulated=simulated,
         source=provenance["source"],
         state="none",

@@ -323,8 +323,11 @@ def intrinsic_table(own: Intrinsic) -> Table:
 def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:
     """Return the joint coverage factors in a sentence."""
     sizes = [(found.u, found.dof), *([] if own is None else [(own.u, own.dof)])]
-    said = [f"k = {joint.k:.3f} for all {joint.count}" for joint in (joint_of(u, dof) for u, dof in sizes)]
-    return f"jointly at 95 %: {', '.join(dict.fromkeys(said))} (ellipsoid)"
+    said = [
+        message(f"k = {joint.k:.3f} for all {joint.count}")
+        for joint in (joint_of(u, dof) for u, dof in sizes)
+    ]
+    return message(f"jointly at 95 %: {', '.join(dict.fromkeys(said))} (ellipsoid)")
 
 
 def ellipses(own: Intrinsic) -> str:
@@ -353,5 +356,5 @@ def ellipses(own: Intrinsic) -> str:
                 axes.set_ylabel(f"{symbol(own.names[pair[1]])} / {scales[1][1]}")
 
     return svg_figure(
-        "ellipses", (7.4, 6.4), draw, "The joint 95 % ellipsoid of the nine, as shadows on pairs"
+        "ellipses", (7.4, 6.4), draw, message("The joint 95 % ellipsoid of the nine, as shadows on pairs")
     )

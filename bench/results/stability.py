@@ -9,6 +9,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.languages import message
 from bench.base.numbers import MINUS, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -198,15 +199,15 @@ def allan_figure(found: Stability, *, inline: bool = False) -> str:
         for one in (axes, below):
             one.set_xscale("log")
             one.set_yscale("log")
-        axes.set_xlabel("averaging time / s")
-        axes.set_ylabel(f"Allan deviation / {scale.unit}")
-        axes.set_title(f"overlapping, limits 95 %; lines: the noise terms; dashed: {tau_s:.3g} s")
-        below.set_xlabel("frequency / Hz")
-        below.set_ylabel(f"root of the spectral density / ({scale.unit}/√Hz)")
+        axes.set_xlabel(message("averaging time / s"))
+        axes.set_ylabel(message(f"Allan deviation / {scale.unit}"))
+        axes.set_title(message(f"overlapping, limits 95 %; lines: the noise terms; dashed: {tau_s:.3g} s"))
+        below.set_xlabel(message("frequency / Hz"))
+        below.set_ylabel(message(f"root of the spectral density / ({scale.unit}/√Hz)"))
         figure.legend(loc="outside upper center", ncols=3)
 
     if not inline:
         return svg_file("allan", (6.4, 7.2), draw)
     return svg_figure(
-        "allan", (6.4, 7.2), draw, "Allan deviation over averaging time, spectrum over frequency"
+        "allan", (6.4, 7.2), draw, message("Allan deviation over averaging time, spectrum over frequency")
     )

@@ -251,9 +251,13 @@ def risk_in_words(result: Verification) -> str:
     """Return the specific risk of the decision, overall and at the worst point; "" if nothing was decided."""
     if result.passed or result.left_open:
         of_all, worst = (probability_in_words(p) for p in (result.p_outside, result.p_outside_worst))
-        both = of_all if of_all == worst else message(f"{of_all} ({worst} at the worst point)")
+        if of_all == worst:
+            return message(
+                f"probability of false acceptance{' if the customer accepts:' if result.left_open else ''} {worst}"
+            )
         return message(
-            f"probability of false acceptance{' if the customer accepts:' if result.left_open else ''} {both}"
+            f"probability of false acceptance{' if the customer accepts:' if result.left_open else ''} "
+            f"{of_all} ({worst} at the worst point)"
         )
     if result.rejected:
         return message(f"probability of false rejection {probability_in_words(1.0 - result.p_outside)}")

@@ -1,7 +1,6 @@
 """A run in Ukrainian, as its operator sees it: faults, a wrong answer, a stop, the resumption, the verdict."""
 
 import io
-import re
 from pathlib import Path
 
 import pytest
@@ -10,22 +9,11 @@ from bench.cli.app import main
 from bench.run.folder import Run
 from bench.run.person import OpenPrompt
 from tests.support.answering import answer_to
+from tests.support.in_ukrainian import english_in
 from tests.support.pages import ROOT
 
-TYPED = re.compile(
-    r"«bench[^»]*»|'[^']*'|\"[^\"]*\"|\bbench [a-z]+ .*|(?<!\w)--?[a-z][\w-]*|[\w.-]*/[\w./-]*|\w+\.(?:yaml|json)"
-    r"|(?:зразкові|відомі):? .*|очікувалося щонайменше .*|\[.*\]"
-)
-"""What stays as it is: commands, quoted texts, options, paths, files, and units in the brackets of a question."""
-TWO_WORDS = re.compile(r"\b[A-Za-z]{2,},? [a-z]{3,}\b")
-"""Two words of English, one after the other; a name, a unit or an identifier stands alone."""
 FAULTS = ("drop", "garble", "refuse, seconds: 4000", "overload", "error")
 QUICK = ("run", "quick", "--dry-run", "--name", "one")
-
-
-def english_in(text):
-    """Return the places in a text at which two words of English follow each other."""
-    return [found[0] for line in text.splitlines() for found in TWO_WORDS.finditer(TYPED.sub("·", line))]
 
 
 class Operator(io.TextIOBase):

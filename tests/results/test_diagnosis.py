@@ -7,12 +7,15 @@ import numpy as np
 import pytest
 
 import bench as program
+from bench.base.languages import speaking
 from bench.base.numbers import fixed
+from bench.base.tables import as_text
 from bench.diagnosis import NamedEffect
 from bench.diagnosis.result import EffectValue
 from bench.readings.csv import write_csv
 from bench.results import plots
 from bench.results.diagnosis_words import (
+    by_clause,
     closed_in_words,
     effect_title,
     micro_g,
@@ -21,6 +24,7 @@ from bench.results.diagnosis_words import (
     unit_in_print,
 )  # fmt: skip
 from tests.support.diagnosis_bench import paper_run
+from tests.support.in_ukrainian import english_in, words_of
 
 pytestmark = pytest.mark.slow
 
@@ -159,6 +163,38 @@ def test_a_mistake_in_the_readings_is_shown_with_its_correction(cache, tmp_path)
     assert full.to_dict()["simulation"]["before"]["p"] > 0.01
     assert "swapped_channels , channel x, z" in page
     assert "the correction changes the misfit of all readings from" in page
+
+
+def test_page_and_terminal_are_ukrainian_throughout(named, agrees, monkeypatch):
+    monkeypatch.setattr(plots, "_written", lambda *_: '<svg viewBox="0 0 1 1"><g id="a"/></svg>')
+    for full, _ in (named, agrees):
+        english = full.to_dict()
+        with speaking("uk"):
+            page = words_of(full.html()).replace(english["bench"]["why"], "")
+            assert english_in(page) == []
+            assert english_in(as_text(full.print_on)) == []
+            assert full.to_dict() == english
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "something without a name: a wave, 0.5 per turn, of one mounting, in the bias of y (mounting 2; mostly in "
+        "channel y)",
+        "installation 1, pass 2, point 9: channel x by +2.2 V, y by +0.006 V off the value that the other readings "
+        "predict (22 standard deviations); the copy leaves the reading out",
+        "channel z has the wrong sign in installation 1, pass 2, as with its wires reversed; the copy has it "
+        "turned; these readings cannot separate it from other_mounting "
+        "(the block sat otherwise), the same in pass 3",
+        "the channels x, y are exchanged in the whole run; the copy has their signals put back",
+        "installation 2, pass 1: channel x reads the same at all points, as if stuck; the copy leaves the pass out",
+    ],
+)
+def test_each_clause_of_a_finding_is_translated(text):
+    with speaking("uk"):
+        told = by_clause(text)
+    assert not re.findall("[a-z]{3,}", told.replace("other_mounting", "")), told
+    assert by_clause(text) == text
 
 
 def found(name, channels, installations, *parameters):

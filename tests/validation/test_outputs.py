@@ -1,6 +1,7 @@
 """What `bench validate` compares of exported files."""
 
 import pytest
+
 from bench.validation.records import as_expected, expected
 
 

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Labels, Mask
+from bench.base.languages import message
 from bench.calibration.mistakes import PREFIX, PREFIXES, in_another_unit
 from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
@@ -92,11 +93,13 @@ class Scope:
 
     def __str__(self) -> str:
         if self.whole:
-            return "in the whole run"
+            return message("in the whole run")
         if not self.mounts:
-            return f"in pass {self.pass_number}"
-        where = f"in installation {' and '.join(str(mount) for mount in self.mounts)}"
-        return where if self.pass_number is None else f"{where}, pass {self.pass_number}"
+            return message(f"in pass {self.pass_number}")
+        mounts = " and ".join(str(mount) for mount in self.mounts)
+        if self.pass_number is None:
+            return message(f"in installation {mounts}")
+        return message(f"in installation {mounts}, pass {self.pass_number}")
 
 
 @dataclass(frozen=True)
@@ -257,15 +260,20 @@ def _swapped_channels(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretatio
     for wiring in EXCHANGED:
         *first, last = wiring.channels
         channels = f"{', '.join(first)} and {last}" + (f" ({wiring.shown})" if len(first) > 1 else "")
-        words = f"the channels {channels} are exchanged {scope}; the copy has their signals put back"
+        words = message(f"the channels {channels} are exchanged {scope}")
+        words += "; " + message("the copy has their signals put back")
         yield Reinterpretation(MistakeName.SWAPPED_CHANNELS, scope, words, wiring.matrix)
 
 
 def _reversed_polarity(_: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     for wiring in REVERSED:
         (channel,) = wiring.channels
-        words = f"channel {channel} has the wrong sign {scope}, as with its wires reversed; the copy has it turned"
+        words = message(f"channel {channel} has the wrong sign {scope}, as with its wires reversed")
+        words += "; " + message("the copy has it turned")
         yield Reinterpretation(MistakeName.REVERSED_POLARITY, scope, words, wiring.matrix)
+
+
+IN_UNIT_OF_FILE: Final = message("the copy has them in the unit of the file")
 
 
 def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
@@ -278,13 +286,14 @@ def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]
         factor = np.ones(3)
         factor[list(chosen)] = 10.0**-tens
         said = in_another_unit([CHANNELS[i] for i in chosen], where, table.unit, tens)
-        words = f"{said}; the copy has them in the unit of the file"
+        words = f"{said}; {IN_UNIT_OF_FILE}"
         yield Reinterpretation(MistakeName.WRONG_UNIT, scope, words, np.diag(factor))
 
 
 def _reversed_rotation(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     angle = np.where(scope.mask, -table.angle_rad, table.angle_rad)
-    words = f"the head counts the other way {scope}; the copy has its angles negated"
+    words = message(f"the head counts the other way {scope}")
+    words += "; " + message("the copy has its angles negated")
     yield Reinterpretation(MistakeName.REVERSED_ROTATION, scope, words, angle_rad=angle)
 
 
@@ -295,7 +304,8 @@ def _other_label(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
     for other in table.labels:
         if other != own:
             label = np.where(scope.mask, other, table.label)
-            words = f"the block sat in installation {other} and not {scope}; the copy says so"
+            words = message(f"the block sat in installation {other} and not {scope}")
+            words += "; " + message("the copy says so")
             yield Reinterpretation(MistakeName.SWAPPED_INSTALLATIONS, scope, words, label=label)
 
 
@@ -309,8 +319,9 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
             mask = pair if number is None else pair & (table.pass_number == number)
             mounts = tuple(sorted(table.mounts[i] for i in np.unique(table.mount[mask])))
             scope = Scope(mask, mounts, number)
-            where = "" if number is None else f" in pass {number}"
-            words = f"installations {one} and {other} are exchanged{where}; the copy has them put back"
+            where = "" if number is None else message(f" in pass {number}")
+            words = message(f"installations {one} and {other} are exchanged{where}")
+            words += "; " + message("the copy has them put back")
             label = np.where(mask, exchanged, table.label)
             found.append(Reinterpretation(MistakeName.SWAPPED_INSTALLATIONS, scope, words, label=label))
     return found
@@ -319,18 +330,18 @@ def _swapped_installations(table: OrientedRows) -> list[Reinterpretation]:
 def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
     """Yield suppositions that, pass by pass, readings are a row late or early, or the head one stop off."""
     runs = table.mount * (table.pass_number.max() + 1) + table.pass_number
-    for step, when in ((1, "late"), (-1, "early")):
-        words = (
-            f"the readings stand one stop too {when} {scope}; the copy has them moved back, without the "
-            "stop that has none"
-        )
+    for step in (1, -1):
+        words = message(f"the readings stand one stop too {'late' if step > 0 else 'early'} {scope}")
+        words += "; " + message("the copy has them moved back, without the stop that has none")
         source = _rows_aside(runs, scope.mask, step)
         if np.mean(source[scope.mask] >= 0) > MOSTLY:  # with too few rows left, any supposition fits
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, source=source)
     stop = _stop_rad(table, scope.mask)
     if stop is not None:
-        for off, where in ((-stop, "behind"), (stop, "ahead")):
-            words = f"the head stood one stop {where} {scope}; the copy has the corrected angles"
+        for sign in (-1, 1):
+            off = sign * stop
+            words = message(f"the head stood one stop {'behind' if sign < 0 else 'ahead'} {scope}")
+            words += "; " + message("the copy has the corrected angles")
             angle = np.where(scope.mask, table.angle_rad + off, table.angle_rad)
             yield Reinterpretation(MistakeName.SHIFTED_POINTS, scope, words, angle_rad=angle)
 
@@ -352,12 +363,16 @@ def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
         yield Reinterpretation(MistakeName.WRONG_SETTING, scope, words, angle_rad=angle, turns_half=half)
 
 
-def head_was_off(off_deg: float, where: str = "") -> str:
-    """Return a sentence that the head stood `off_deg` from its recorded angles `where`, and what the copy has."""
-    return (
+def head_was_off(off_deg: float, where: str = "", also: str = "") -> str:
+    """Return a sentence that the head stood `off_deg` from its recorded angles `where`, and what the copy has.
+
+    `also` says in brackets what would look the same.
+    """
+    words = message(
         f"the signals stand as if the head had been {off_deg:+.4g}° from where it says{where}: its zero or its "
-        "index was read wrong; the copy has the corrected angles"
+        "index was read wrong"
     )
+    return words + "; " + message(f"the copy has the corrected angles{also}")
 
 
 def _rows_aside(runs: Ints, mask: Mask, step: int) -> Ints:

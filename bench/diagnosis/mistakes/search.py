@@ -15,6 +15,7 @@ from functools import partial
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.design import make_problem
 from bench.calibration.gls import noise_floor
@@ -22,7 +23,12 @@ from bench.calibration.mistakes import PREFIX, PREFIXES, sheet_of, wrong_unit
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.levels import HARDLY_EVER, STEPS
 from bench.diagnosis.mistakes.gross import GrossMistake, GrossSearch
-from bench.diagnosis.mistakes.reinterpretation import OrientedRows, Reinterpretation, head_was_off
+from bench.diagnosis.mistakes.reinterpretation import (
+    IN_UNIT_OF_FILE,
+    OrientedRows,
+    Reinterpretation,
+    head_was_off,
+)
 from bench.diagnosis.mistakes.terms import TermSearch, WrongReadings
 from bench.diagnosis.noise_grid import RATIOS
 from bench.model import STAND_ANGLES, Block, ForwardModel
@@ -88,7 +94,7 @@ class MistakesLeaveTooLittle(CalibrationError):
     def __str__(self) -> str:
         """Return a sentence with the mistakes, and with what the other readings lack."""
         mistakes = "; ".join(one.words for one in self.search.mistakes)
-        return f"a mistake was found: {mistakes}; with it corrected, {self.reason}"
+        return message(f"a mistake was found: {mistakes}; with it corrected, {self.reason}")
 
 
 def find_mistakes(
@@ -149,7 +155,7 @@ class _Search:
         log_scaling = -PREFIX * np.log(10.0) * float(np.sum(unit.power[table.rows]))
         p = self.gross.p_of_copy(readings, copy, log_scaling, 3 * parts * np.log(len(PREFIXES)))
         where = () if unit.installation is None else (unit.installation,)
-        words, name = f"{unit.words}; the copy has them in the unit of the file", MistakeName.WRONG_UNIT
+        words, name = f"{unit.words}; {IN_UNIT_OF_FILE}", MistakeName.WRONG_UNIT
         return [(Mistake(name, unit.channels, where, unit.pass_number, None, words, p, ()), copy)]
 
     def map(self, readings: Readings, *, verification: bool = False) -> list[tuple[Mistake, Readings]]:
@@ -208,32 +214,36 @@ class _Search:
 
 def _instead(other: Reinterpretation, supposition: Reinterpretation) -> str:
     """Return in words in what another supposition of the same name differs."""
+    place = str(other.scope).removeprefix("in ")
     if other.channels != supposition.channels:
-        return f"the same of {', '.join(other.channels)} {other.scope}"
+        return message(f"the same of {', '.join(other.channels)} in {place}")
     if str(other.scope) != str(supposition.scope):
-        return f"the same {other.scope}"
-    return f"this: {other.words.split(';')[0]}"
+        return message(f"the same in {place}")
+    return message(f"this: {other.words.split(';')[0]}")
 
 
 def _gross_mistake(gross: GrossMistake) -> Mistake:
     supposition = gross.supposition
     names = dict.fromkeys(other.name for other in gross.equal if other.name != supposition.name)
     also = [
-        f"{name} (the block sat otherwise)" if name == MistakeName.OTHER_MOUNTING else name for name in names
+        message(f"{name} (the block sat otherwise)") if name == MistakeName.OTHER_MOUNTING else name
+        for name in names
     ]
     also += [
         _instead(other, supposition)
         for other in gross.equal
         if other.name == supposition.name and other.words != supposition.words
     ]
-    alike = f"; these readings cannot separate it from {', '.join(dict.fromkeys(also))}" if also else ""
+    words = supposition.words
+    if also:
+        words += "; " + message(f"these readings cannot separate it from {', '.join(dict.fromkeys(also))}")
     return Mistake(
         name=supposition.name,
         channels=supposition.channels,
         installations=tuple(str(mount) for mount in supposition.scope.mounts),
         pass_number=supposition.scope.pass_number,
         point=None,
-        words=supposition.words + alike,
+        words=words,
         p=gross.p,
         cannot_tell_from=tuple(names),
     )
@@ -245,31 +255,36 @@ def _of_term(terms: TermSearch, wrong: WrongReadings, unit: str) -> Mistake:
     point = None if wrong.whole else int(conditions.point[row])
     stated_deg = float(np.degrees(conditions.angle_rad[row]))
     said = _pass_words(wrong) if wrong.whole else _reading_words(wrong, stated_deg, unit)
-    where = f"installation {mount}, pass {number}" + ("" if point is None else f", point {point}")
+    where = message(f"installation {mount}, pass {number}")
+    if point is not None:
+        where = message(f"installation {mount}, pass {number}, point {point}")
     return Mistake(
         wrong.name, wrong.channels, (mount,), number, point, f"{where}: {said}", wrong.p, wrong.ties
     )
 
 
 def _pass_words(wrong: WrongReadings) -> str:
-    same = f" ({', '.join(wrong.ties)} would look the same)" if wrong.ties else ""
+    same = message(f" ({', '.join(wrong.ties)} would look the same)") if wrong.ties else ""
     if wrong.off_rad is not None:
-        return head_was_off(float(np.degrees(wrong.off_rad))) + same
-    what = "another block was mounted: K and U0 of all channels are others"
+        return head_was_off(float(np.degrees(wrong.off_rad)), also=same)
+    what = message("another block was mounted: K and U0 of all channels are others")
     if wrong.name == MistakeName.STUCK_CHANNEL:
-        what = f"channel {wrong.channels[0]} reads the same at all points, as if stuck"
-    return f"{what}; the copy leaves the pass out{same}"
+        what = message(f"channel {wrong.channels[0]} reads the same at all points, as if stuck")
+    return f"{what}; " + message(f"the copy leaves the pass out{same}")
 
 
 def _reading_words(wrong: WrongReadings, stated_deg: float, unit: str) -> str:
     if wrong.off_rad is not None:
-        same = f" (an outlier of channel {wrong.channels[0]} would look the same)" if wrong.ties else ""
-        return (
-            f"the signals stand as if the head had been at {stated_deg + np.degrees(wrong.off_rad):.7g}° "
-            f"and not at {stated_deg:.7g}°; the copy has the corrected angle{same}"
+        same = (
+            message(f" (an outlier of channel {wrong.channels[0]} would look the same)") if wrong.ties else ""
         )
-    off = ", ".join(f"{c} by {wrong.shift[CHANNELS.index(c)]:+.3g} {unit}" for c in wrong.channels)
-    return (
-        f"channel {off} off the value that the other readings predict ({wrong.sigma:.0f} standard deviations); "
-        "the copy leaves the reading out"
+        words = message(
+            f"the signals stand as if the head had been at {stated_deg + np.degrees(wrong.off_rad):.7g}° "
+            f"and not at {stated_deg:.7g}°"
+        )
+        return words + "; " + message(f"the copy has the corrected angle{same}")
+    off = ", ".join(message(f"{c} by {wrong.shift[CHANNELS.index(c)]:+.3g} {unit}") for c in wrong.channels)
+    words = message(
+        f"channel {off} off the value that the other readings predict ({wrong.sigma:.0f} standard deviations)"
     )
+    return words + "; " + message("the copy leaves the reading out")
