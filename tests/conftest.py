@@ -4,7 +4,9 @@ import contextlib
 import faulthandler
 import gc
 import io
+import itertools
 import os
+import re
 import shutil
 import time
 from collections import Counter
@@ -27,11 +29,12 @@ HANGS_S = 300.0
 
 
 class Session:
-    """What holds from test to test: when the watch for a hang was set, and whether figures are drawn."""
+    """What holds from test to test: when the watch for a hang was set, whether figures are drawn, numbers."""
 
     stderr = 2
     watched_s = -HANGS_S
     draw: Callable[..., str] | None = None
+    folders = itertools.count()
 
 
 def pytest_xdist_auto_num_workers() -> int:
@@ -117,6 +120,13 @@ def no_power_cut() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(os, "fsync", lambda file: os.fstat(file) and None)
         yield
+
+
+@pytest.fixture
+def tmp_path(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Make a folder for one test; pytest itself reads the names of all earlier ones to find a free name."""
+    name = re.sub(r"\W", "_", request.node.name)[:30]
+    return tmp_path_factory.mktemp(f"{name}_{next(Session.folders)}", numbered=False)
 
 
 @pytest.fixture
