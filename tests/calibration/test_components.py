@@ -86,23 +86,24 @@ def test_a_head_whose_zero_moves_between_passes_enters_u():
 
 @pytest.mark.slow
 def test_readings_at_one_setting_share_its_error():
-    """Seeds [53, k], 8 runs: a setting is 15 arcsec off (1 sigma) in all of its six readings, points of their own.
+    """Seeds [53, k], 12 runs: a setting is 15 arcsec off (1 sigma) in its three readings, which have own points.
 
-    Taken to err by themselves, the readings give a chi-square of the coefficients 1.5 times as large.
+    Taken to err by themselves, the readings give a chi-square of the coefficients 1.5 times as large. The mean of
+    12 chi-squares of 12 degrees of freedom each scatters by 0.12.
     """
     found, chi2 = [], []
-    for k in range(8):
+    for k in range(12):
         rng = np.random.default_rng([53, k])
-        installation, pass_number, point, phi = (np.repeat(column, 6) for column in design())
-        off = np.repeat(rng.normal(0.0, 15 * ARCSEC, len(phi) // 6), 6)
+        installation, pass_number, point, phi = (np.repeat(column, 3) for column in design(2))
+        off = np.repeat(rng.normal(0.0, 15 * ARCSEC, len(phi) // 3), 3)
         force = specific_force(installation.tolist(), phi, alpha4=off)
         signal = force @ K.T + U0 + rng.normal(0.0, 1e-4, force.shape)
-        numbers = 6 * point + np.arange(len(phi)) % 6
+        numbers = 3 * point + np.arange(len(phi)) % 3
         run = calibrate(make_readings(installation, pass_number, numbers, phi, signal), MODEL, STAND_U, 9.81)
         found.append([one.what for one in run.shared])
         error = run.block.vector - TRUTH
         chi2.append(error @ np.linalg.solve(run.covariance, error) / len(error))
-    assert sum(VISIT_ANGLE in one for one in found) >= 7
+    assert sum(VISIT_ANGLE in one for one in found) >= 11
     assert np.mean(chi2) < 1.2
 
 
