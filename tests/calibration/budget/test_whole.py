@@ -299,10 +299,13 @@ def _with_a_shared_error(seed, kind):
 
 @pytest.mark.parametrize("kind", ["gain", "setting"])
 def test_errors_that_repeats_share_are_in_u_at_the_points_too(kind):
-    """A pass of verification points has a gain of its own, and a point an error that each of its repeats has."""
+    """A pass of verification points has a gain of its own, and a point an error that each of its repeats has.
+
+    Six runs with nine or twelve shared errors each: the mean chi-square scatters by 0.2.
+    """
     exact = {name: 1e-6 * u for name, u in STAND_U.items()}
     chi2 = []
-    for seed in range(12):
+    for seed in range(6):
         run = _with_a_shared_error(seed, kind)
         at = run.installation == VERIFICATION
         found = sign(calibrate(run, MODEL, exact, 9.81), run, BENCH, MODEL)
