@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.languages import message, translated
+from bench.base.languages import local_number, message, translated
 from bench.base.numbers import concise, quantity, typeset
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -500,11 +500,11 @@ def _consequence(shown: ModelComparison, out: Console) -> None:
     if not changed:
         return
     changed.sort(key=lambda pair: -abs(pair[1]))
-    shifts = ", ".join(f"{name} {in_u:+.1f} u" for name, in_u in changed)
+    shifts = ", ".join(f"{name} {local_number(f'{in_u:+.1f} u')}" for name, in_u in changed)
     out.print(typeset(message(f"Change of the coefficients, in units of u with the given model: {shifts}")))
     wider = words.less_certain(coefficients)
     if wider:
-        out.print(message(f"  larger u with the effects found: {', '.join(wider)}"))
+        out.print(message(f"  larger u with the effects found: {', '.join(map(translated, wider))}"))
 
 
 SIDE_BY_SIDE: Final = 4
