@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from bench.base.yaml_files import FileMistakes
-from bench.cli.measure import _follow
 from bench.config.bench_file.file import foreign_drivers, load_bench, load_recorded_bench
 from bench.config.devices.registry import _loaded, devices
 from bench.config.shipped import find_bench
@@ -208,12 +207,3 @@ def test_the_commands_that_a_run_suggests_name_the_folder_of_devices(mine, bench
     assert f"'bench resume done --devices {mine}' computes the results" in stopped[2]
     ended = bench("resume", "done", "--devices", mine)[1].splitlines()[-1]
     assert f"--bench {path} --devices {mine}" in ended
-
-
-def test_a_measurement_put_off_is_named_with_its_bench(monkeypatch, capsys):
-    run = Mock(simulated=False, manifest={"bench": "mine.yaml", "bench_why": "as asked for"})
-    run.name = "first"
-    monkeypatch.setattr("bench.cli.measure._diagnosed", lambda _: Mock(procedure="further.yaml"))
-    monkeypatch.setattr("bench.cli.measure._agreed", lambda *_: False)
-    assert _follow(run, Mock()) == 0
-    assert capsys.readouterr().out.endswith("later with: bench run further.yaml --bench mine.yaml\n")
