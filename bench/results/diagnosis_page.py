@@ -245,7 +245,7 @@ def in_time(shown: ModelComparison) -> str:
 def gap_bars(gap: Gap) -> str:
     """Return a bar chart of reduced chi-square without and with the effects, for each set of held-out readings."""
     folds = gap.folds
-    names = [fold.label.replace(" and ", "\nand ") for fold in folds]
+    names = [translated(fold.label.replace(" and ", "\nand ")) for fold in folds]
     places = np.arange(len(folds), dtype=float)
 
     def draw(figure: Figure) -> None:
@@ -279,7 +279,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
     def draw(figure: Figure) -> None:
         axes: Axes = figure.subplots()
         for kind, colour, text in (
-            ("named", plots.BLUE, "found"), ("tied", plots.ORANGE, message("tied with it")),
+            ("named", plots.BLUE, message("found")), ("tied", plots.ORANGE, message("tied with it")),
             ("less", "#B9C4CE", message("less plausible")),
         ):  # fmt: skip
             chosen = [i for i, rival in enumerate(ordered) if _kind(rival, named) == kind]
@@ -296,7 +296,7 @@ def ranking_bars(rows: Sequence[Rival], named: str, number: int) -> str:
             at = reach + 0.03 * max(abs(reach), 1.0)
             axes.plot([at, at], [min(alike) - 0.35, max(alike) + 0.35], color="#222222", linewidth=1.2)
             axes.annotate(
-                "tie", (at, float(np.mean([min(alike), max(alike)]))), xytext=(4, 0),
+                message("tie"), (at, float(np.mean([min(alike), max(alike)]))), xytext=(4, 0),
                 textcoords="offset points", va="center",
             )  # fmt: skip
         axes.axvline(0.0, color=plots.GREY, linewidth=0.7)
