@@ -348,7 +348,7 @@ class EarlyWarning:
             causes = self._lasting(sighting, of_reading) or causes
             still = "" if causes else self._still()
             confident = self._confidence.misfits(
-                sighting, chi2, off_v, causes, LOST if still else self._in_a_row
+                sighting, chi2, off_v, causes, self._in_a_row, still=still, span_k=self._span_k()
             )
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
@@ -356,6 +356,11 @@ class EarlyWarning:
         found = f"{_misfit(judged, channels)}; {still or _why(causes, at_fault)}"
         text = message(f"the reading of {sighting.place} differs from the prediction: {found}")
         return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+
+    def _span_k(self) -> float:
+        """Return the range of the block's known temperatures so far, K."""
+        known = [t for one in self._history if math.isfinite(t := float(one.row.temperature_c[0]))]
+        return max(known) - min(known) if known else 0.0
 
     def _still(self) -> str:
         """Return a phrase on the channels whose signals stay the same while the head turns, empty without any."""
