@@ -81,7 +81,7 @@ TOLD_SIGMA: Final = 3.0
 
 STILL: Final = 10.0
 STILL_G: Final = 0.2
-"""A signal stays the same if it changes by less than 1/`STILL` of the change due, which is over `STILL_G` (g)."""
+"""A signal is still if a change of more than `STILL_G` (g) was due, and less than 1/`STILL` of it was seen."""
 
 MOST_LISTED: Final = 3
 """Greatest number of causes named in a sign; if there are more, the sign also states their number."""
