@@ -86,12 +86,12 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
     keys = [(s.column, s.mount if s.measured else clamped[s.mount], s.measured) for s in problem.stand]
     once = list(dict.fromkeys(keys))
     angles = [problem.stand[keys.index(key)] for key in once]
-    shares = np.array([[float(key == other) for other in once] for key in keys])
+    shares = np.array([key == other for key in keys for other in once], dtype=float)
     return RunFit(
         name=name,
         y=fit.residuals + by_stand @ fit.others[:a],
         X=own,
-        stand=by_stand @ shares,
+        stand=by_stand @ shares.reshape(len(keys), len(once)),
         angles=tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in angles),
         levels=np.array(
             [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in angles]
