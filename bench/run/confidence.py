@@ -91,7 +91,7 @@ class Confidence:
         if not named or only_before or not all(cause.stops for cause in named):
             self._not_explained(off_v)
             borne = still in self._borne if still else bool(self._borne)
-            if self._silent or borne or (in_a_row < LOST and not still):
+            if causes or self._silent or borne or (in_a_row < LOST and not still):
                 return False
             lost = off_v > self._beyond_effects_v + self._per_kelvin_v * span_k
             return lost and self._stopped_for(causes, still)

@@ -355,7 +355,8 @@ class EarlyWarning:
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
         found = f"{_misfit(judged, channels)}; {still or _why(causes, at_fault)}"
         text = message(f"the reading of {sighting.place} differs from the prediction: {found}")
-        return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+        sign = self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+        return replace(sign, causes=(still,)) if still else sign
 
     def _span_k(self) -> float:
         """Return the range of the block's known temperatures so far, K."""
