@@ -227,7 +227,7 @@ class ReadOutHead(ProvedInstrument):
 
     def _proved(self) -> None:
         self._trusted = self._tells_reference
-        self._prove()
+        self._prove_same()
 
     def _begun(self, target_rad: float, direction: Direction, key: str) -> Track:
         """Return a new track with the present angle, so that a counter's error is reported before anybody turns."""

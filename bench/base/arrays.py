@@ -9,7 +9,7 @@ from drivers.interfaces import CHANNELS
 
 __all__ = [
     "ARCSEC", "CHANNELS", "HOUR", "MINUTE", "Floats", "HasCovariance", "Ints", "Labels", "Mask", "Singles",
-    "grouped", "least_squares", "rms", "u_of", "unit_vectors",
+    "least_squares", "rms", "u_of", "unit_vectors",
 ]  # fmt: skip
 
 Floats = NDArray[np.float64]
@@ -48,14 +48,6 @@ def quadratic_forms(rows: Floats, matrix: Floats) -> Floats:
     """
     moved = (matrix.T @ rows.T).T
     return np.asarray(np.matmul(moved[:, None, :], rows[:, :, None]).ravel())
-
-
-def grouped(values: Floats, step: float) -> Ints:
-    """Return a group number for each of n values, shape (n,): gaps above `step` separate the groups."""
-    order = np.argsort(values, kind="stable")
-    numbers = np.empty(len(order), dtype=np.int64)
-    numbers[order] = np.concatenate([[0], np.cumsum(np.diff(values[order]) > step)])
-    return numbers
 
 
 def rms(values: Floats) -> float:

@@ -335,8 +335,8 @@ def _require_regular(snapshot: Snapshot) -> None:
 class _SinceFirst:
     """The differences (n - 1, m) of all later calibrations from the first, with their joint covariance.
 
-    Calibrations made within a few days share the errors of their meters, in whichever calibration they differ from
-    the first. `dof` is the smallest of the calibrations' degrees of freedom.
+    Calibrations made within a few days of one another share the errors of their meters, also long after the first.
+    `dof` is the smallest of the calibrations' degrees of freedom.
     """
 
     difference: Floats

@@ -553,7 +553,7 @@ def _with_settings(alike: Floats, signal: Floats, force: Floats, found: Floats, 
     along = scatter.slope / np.linalg.norm(scatter.slope, axis=1)[:, None]
     moved = float(np.einsum("gi,gij,gj->", along, scatter.matrix, along))
     still = float(np.einsum("gii->", scatter.matrix)) - moved
-    # one of three signals moves along the slope, two across it
+    # the scatter of three signals has one component along the slope, two across it
     if fdtrc(scatter.settings, 2 * scatter.settings, 2.0 * moved / max(still, 1e-300)) > SETTINGS_P:
         return alike
     by = np.zeros((4, 3))

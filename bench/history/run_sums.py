@@ -81,17 +81,17 @@ def run_fit(name: str, readings: Readings, model: ForwardModel, stand_u: Mapping
     own = np.concatenate([system.jacobian[:, :, :FIXED], system.jacobian[:, :, FIXED + a :]], axis=2)
     waves = [fit.slope * wave(k * phase)[:, None] for k in range(1, WAVES + 1) for wave in (np.cos, np.sin)]
     groups, mounts = repeat_groups(problem.conditions), problem.conditions.mounts
-    # series of one mounting share its angles: each would else count as a draw of its own of what a remount changes
+    # series of one mounting share its angles: counted apart, they would seem to be as many mountings
     clamped = problem.conditions.clamped
     keys = [(s.column, s.mount if s.measured else clamped[s.mount], s.measured) for s in problem.stand]
     once = list(dict.fromkeys(keys))
     angles = [problem.stand[keys.index(key)] for key in once]
-    shares = np.array([[float(key == other) for other in once] for key in keys])
+    shares = np.array([key == other for key in keys for other in once], dtype=float)
     return RunFit(
         name=name,
         y=fit.residuals + by_stand @ fit.others[:a],
         X=own,
-        stand=by_stand @ shares,
+        stand=by_stand @ shares.reshape(len(keys), len(once)),
         angles=tuple((STAND_ANGLES[s.column], mounts[s.mount].installation) for s in angles),
         levels=np.array(
             [(s.prior_mean, s.prior_u) if s.measured else (np.nan, np.nan) for s in angles]

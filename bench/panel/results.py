@@ -318,7 +318,7 @@ def figure_of(run: Run, name: str) -> bytes:
 
 
 LONGEST_RESULTS_S: Final = 2.0 if HAS_LOCKS else 120.0
-"""Time (s) after the end of a run within which results are due; later, only a lock on their list shows it.
+"""Time (s) after the end of a run within which results are due; later, only while their list is locked.
 
 Without file locks (Windows), it is the time within which a program computes the results.
 """

@@ -81,7 +81,7 @@ TOLD_SIGMA: Final = 3.0
 
 STILL: Final = 10.0
 STILL_G: Final = 0.2
-"""A signal stays the same if it changes by less than 1/`STILL` of the change due, which is over `STILL_G` (g)."""
+"""A signal is still if a change of more than `STILL_G` (g) was due, and less than 1/`STILL` of it was seen."""
 
 MOST_LISTED: Final = 3
 """Greatest number of causes named in a sign; if there are more, the sign also states their number."""
@@ -348,14 +348,20 @@ class EarlyWarning:
             causes = self._lasting(sighting, of_reading) or causes
             still = "" if causes else self._still()
             confident = self._confidence.misfits(
-                sighting, chi2, off_v, causes, LOST if still else self._in_a_row
+                sighting, chi2, off_v, causes, self._in_a_row, still=still, span_k=self._span_k()
             )
         sigma = np.abs(judged.sigma[0])
         channels = tuple(c for c, s in zip(CHANNELS, sigma, strict=True) if s > TOLD_SIGMA)
         channels = channels or (CHANNELS[int(np.argmax(sigma))],)
         found = f"{_misfit(judged, channels)}; {still or _why(causes, at_fault)}"
         text = message(f"the reading of {sighting.place} differs from the prediction: {found}")
-        return self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+        sign = self._sign(sighting, judged, channels, text, causes, at_fault, confident=confident)
+        return replace(sign, causes=(still,)) if still else sign
+
+    def _span_k(self) -> float:
+        """Return the range of the block's known temperatures so far, K."""
+        known = [t for one in self._history if math.isfinite(t := float(one.row.temperature_c[0]))]
+        return max(known) - min(known) if known else 0.0
 
     def _still(self) -> str:
         """Return a phrase on the channels whose signals stay the same while the head turns, empty without any."""

@@ -119,7 +119,7 @@ class Run:
             return True
 
     def results_due(self, until: ExitStack | None = None) -> None:
-        """Note that results are missing; until `until` closes, a lock of this note shows that they will be made."""
+        """Note that results are missing; until `until` closes, a lock on this note says that they are coming."""
         write_whole(self.folder / RESULTS, to_text({"made": None}))
         if until is not None:
             until.enter_context(locked(self.folder / RESULTS))

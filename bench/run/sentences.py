@@ -25,6 +25,8 @@ def sentence(event: Event) -> str:
         case EventType.EARLY_SIGN:
             return message(f"{'stopped' if data.get('confident') else 'note'}: {data['sentence']}")
         case EventType.WENT_ON:
+            if not data["causes"]:
+                return message(f"continued in spite of a misfit without a known cause: {data['reason']}")
             return message(f"continued in spite of '{'; '.join(data['causes'])}': {data['reason']}")
         case EventType.SAME_SERIAL | EventType.CERTIFICATE:
             return message(f"note: {data['words']}")

@@ -216,7 +216,7 @@ def told_in_words(run: Run) -> list[str]:
     if (more := len(named) - len(lines)) > 0:
         lines.append(message(f"early warning: {more} more cause{'' if more == 1 else 's'}"))
     lines += [sentence(event) for event in overruled]
-    if lines:
+    if named:
         lines.append(message(f"'bench diagnose {as_typed(run.name)}' uses these causes"))
     repaired = run.history.progress.signs - len(signs)
     if repaired:

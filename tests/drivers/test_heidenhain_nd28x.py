@@ -153,3 +153,15 @@ def test_a_name_that_is_cut_or_followed_by_more_is_refused(reply):
         HeidenhainNd28x(
             "head", session, world.clock, None, APPROACH, model="ND-281B", scale=ScaleOfEncoder()
         ).open()  # type: ignore[arg-type]
+
+
+def test_a_counter_exchanged_between_two_connections_is_refused():
+    """Another counter counts from a reference mark of its own."""
+    other = swapped(OPENED_281B, f"{ESC}A0000", "\x02ND-281B   \r\n349797-04 \r\n2003-01-15")
+    counter, session = head(OPENED_281B, other)
+    counter.open()
+    session.connection = None
+    with pytest.raises(
+        InstrumentRefused, match=r"was HEIDENHAIN ND-281B .* 2001-05-04 and is now .* 2003-01-15"
+    ):
+        counter.open()

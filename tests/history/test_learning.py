@@ -287,3 +287,9 @@ def test_a_balanced_design_is_that_of_statsmodels():
     closed = 2 * (theta[0] + judge.scale / repeats) ** 2 / (runs - 1)
     information = observed_information(body, theta, free([1e-12], 1))
     assert 1 / information[0, 0] == pytest.approx(closed, rel=2e-2)
+
+
+def test_a_run_without_unknown_angles_of_the_stand_has_no_columns_for_them():
+    table = simulate(np.random.default_rng(17), TRUTH, 1).tables()[0]
+    found = run_fit("exact", table, MODEL, {})
+    assert found.stand.shape[2] == len(found.angles) == 0

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from bench.base.arrays import CHANNELS, Floats, Ints, Mask, grouped
+from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration import gls
 from bench.calibration.budget.error_source import NAME as FOUNDATION
 from bench.calibration.budget.error_source import ErrorSource, tilt_patterns
@@ -32,7 +32,7 @@ from bench.readings.table import UNORIENTED, VERIFICATION, Readings, make_readin
 
 _SAME_FORCE_G: Final = 1e-6
 _SAME_READ_FORCE_G: Final = 5e-3
-"""Measured specific forces at most this far apart are of one orientation, whatever the errors of the bracket."""
+"""Measured specific forces at most this far from the first of an orientation are of it: the bracket has errors."""
 
 
 @dataclass(frozen=True)
@@ -331,9 +331,12 @@ class MeasuredReadings:
         without an orientation has a number of its own.
         """
         alone = np.isin(self.readings.installation, list(UNORIENTED))
-        alike = [grouped(component, _SAME_READ_FORCE_G) for component in self.force.T]
-        keys = np.stack([*alike, np.where(alone, 1 + np.arange(len(alone)), 0)], axis=1)
-        return np.asarray(np.unique(keys, axis=0, return_inverse=True)[1]).ravel()
+        found = np.where(alone, np.arange(len(alone)), -1)
+        for first in np.flatnonzero(~alone):
+            if found[first] < 0:
+                near = np.max(np.abs(self.force - self.force[first]), axis=1) <= _SAME_READ_FORCE_G
+                found[(found < 0) & near] = found[first] = first
+        return found
 
 
 AnyReadings = Setup | MeasuredReadings
@@ -376,7 +379,11 @@ def _linearity(source: ErrorSource, setup: AnyReadings) -> _Patterns:
 
 def _same_angle(setup: AnyReadings) -> Ints:
     """Return a number for each reading (n,) that is equal for equal angles on the head's scale."""
-    return grouped(np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau), _SAME_ANGLE_RAD)
+    angle_rad = np.mod(setup.conditions.angle_rad + _SAME_ANGLE_RAD, math.tau)
+    order = np.argsort(angle_rad, kind="stable")
+    numbers = np.empty(len(order), dtype=np.int64)
+    numbers[order] = np.concatenate([[0], np.cumsum(np.diff(angle_rad[order]) > _SAME_ANGLE_RAD)])
+    return numbers
 
 
 def _temperature(source: ErrorSource, seen: AnyReadings) -> _Patterns:

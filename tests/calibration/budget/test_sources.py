@@ -8,7 +8,7 @@ import pytest
 import yaml
 
 from bench.calibration import CalibrationError
-from bench.calibration.budget.coefficients import make_budget, make_setup, parts_of
+from bench.calibration.budget.coefficients import MeasuredReadings, make_budget, make_setup, parts_of
 from bench.calibration.budget.propagation import coverage_factor
 from bench.calibration.budget.sources import bench_sources, effect_sources, hidden_sources, stand_source
 from bench.config.bench_file.file import FileMistakes, load_bench
@@ -17,6 +17,8 @@ from bench.config.devices.sections import VoltmeterKind
 from bench.config.procedure.load import load_procedure
 from bench.config.shipped import find_bench, find_procedure
 from bench.model import CATALOGUE, AppliedEffect, Distribution
+from bench.model.geometry import Block
+from bench.readings.table import make_readings
 from bench.validation.paper_bench import ARCSEC, TRUTH, K
 from tests.support.budget_bench import COEFFICIENTS, paper_setup, stand
 
@@ -452,3 +454,14 @@ def test_unknown_estimator_and_too_few_orientations_are_refused():
         make_budget(paper_setup(), stand(), "kalman")
     with pytest.raises(CalibrationError, match="every test point; missing"):
         make_budget(paper_setup(points=8), stand(), "closed-form")
+
+
+def test_neighbours_of_a_fine_sweep_are_not_one_orientation():
+    """At steps of 0.25°, next forces differ by 4.4 mg; all as one would make u of K by linearity zero."""
+    angle = np.radians(np.repeat(np.arange(0.0, 360.0, 0.25), 2))
+    force = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+    points = np.arange(1, len(angle) + 1)
+    rows = make_readings(["1"] * len(angle), [1] * len(angle), points, angle, force)
+    found = MeasuredReadings(rows, Block(np.eye(3), np.zeros(3)), (0, 1, 2), force).orientation
+    assert np.array_equal(found[::2], found[1::2])
+    assert np.max(np.bincount(found)) <= 8
