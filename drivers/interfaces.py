@@ -101,8 +101,12 @@ class Identity:
         return " ".join(part for part in (self.maker, self.model, self.serial, self.firmware) if part)
 
     def refuse_other(self, name: str, now: Identity) -> None:
-        """Raise `InstrumentRefused` if the instrument called `name` reports another identity `now`."""
-        if now != self:
+        """Raise `InstrumentRefused` if the instrument called `name` is another one now.
+
+        A missing firmware says nothing: some instruments report it in a separate answer, which may be lost.
+        """
+        same = replace(now, firmware=now.firmware if self.firmware and now.firmware else self.firmware)
+        if same != self:
             raise InstrumentRefused(
                 name,
                 f"was {self} and is now {now}",
