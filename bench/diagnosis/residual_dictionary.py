@@ -65,7 +65,7 @@ class TimeCourse(NamedTuple):
     With `of_temperature`, the course is in kelvin; with `of_angle`, it depends on the head angle. Only a
     `long` course may act on scale factor and voltage and, if it has a `where`, on a meter's gain. A `narrow`
     course does not act on stand angles: a step, a fast wave, one angle, or a wave in one mounting. `where`
-    says in words where it acts.
+    says in words where it acts. In a scale factor, `settled` takes the place of the course.
     """
 
     words: str
@@ -76,6 +76,7 @@ class TimeCourse(NamedTuple):
     narrow: bool = False
     of_angle: bool = False
     where: str = ""
+    settled: TimeCourse | None = None
 
 
 class DictionaryTerm(NamedTuple):
@@ -209,8 +210,9 @@ def _terms(linear: LinearSystem) -> Iterator[DictionaryTerm]:
     for course in courses:
         yield _of_course(course, message("the bias"), Stage.BLOCK_OUTPUT, BIAS)
         if course.long:
+            settled = course.settled or course
             yield _of_course(
-                course, message("the scale factor"), Stage.BLOCK_OUTPUT, SCALE, in_proportion=True
+                settled, message("the scale factor"), Stage.BLOCK_OUTPUT, SCALE, in_proportion=True
             )
         yield _of_course(course, message("the head's angle"), Stage.HEAD_ANGLE, ANGLE)
         # a platform does not turn or roll with the head's angle
@@ -397,7 +399,10 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
         yield TimeCourse(message("what fades with time"), ("exp(-time / tau)",), tau, long=True)
     for minutes in CREEPS_MIN:
         tau = (_constant("tau", "min", MINUTE, minutes * MINUTE),)
-        yield TimeCourse(message("what creeps with time"), ("log(1 + time / tau)",), tau, long=True)
+        creep = TimeCourse(message("what creeps with time"), ("log(1 + time / tau)",), tau, long=True)
+        # a bias creeps from where it was; a scale factor settles, and holds as at the end of the run
+        settled = creep._replace(expressions=("log((tau + time) / (tau + T))",), constants=(*tau, *span))
+        yield creep._replace(settled=settled)
     for k in range(1, FASTEST + 1):
         yield TimeCourse(message("a slow wave in time"), (f"cos({k:g} * pi * time / T)",), span)
     angled = np.unique(time[np.isfinite(conditions.angle_rad)])

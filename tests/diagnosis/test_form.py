@@ -78,6 +78,20 @@ def test_a_form_of_the_force_is_zero_at_no_force():
         assert interpret(text, nothing) == 0.0, text
 
 
+@pytest.mark.parametrize(("place", "at"), [("bias", 0.0), ("scale factor", 1.0)])
+def test_a_creep_of_a_bias_is_zero_at_the_start_and_that_of_a_scale_factor_at_the_end(terms, place, at):
+    """A scale factor settles: if its creep were zero at the start, K would hold for a cold bench."""
+    creeps = {t for t, _, _ in terms[0] if t.family == f"what creeps with time, in the {place}"}
+    assert len(creeps) == 3
+    end_s = float(np.ptp(terms[1].conditions.elapsed_s))
+    for term in creeps:
+        known = {p.name: np.asarray(p.default) for p in term.constants}
+        for time_s in (0.0, end_s):
+            names = known | {"a": np.ones(1), "time": np.full(1, time_s)}
+            (value,) = interpret(term.expressions[0], ValueReading(names, lambda of, _: of))
+            assert (abs(value) < 1e-3) == (time_s == at * end_s)
+
+
 def test_its_columns_are_differences_of_the_forward_model(terms):
     listed, linear = terms
     for number in np.random.default_rng(1).choice(len(listed), 20, replace=False):
