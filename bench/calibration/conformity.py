@@ -473,9 +473,7 @@ def global_risk_together(
     The values are of one true value; their errors have the `covariance` (n, n). The errors are drawn, with a fixed
     seed; for each draw the accepted true values are an interval, whose part of the population is exact.
     """
-    sizes, axes = np.linalg.eigh(covariance)
-    drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sizes)))
-    errors = drawn @ (axes * np.sqrt(np.maximum(sizes, 0.0))).T
+    errors = _drawn(covariance)
     low, high = np.max(-accepted_up_to - errors, axis=1), np.min(accepted_up_to - errors, axis=1)
 
     def share(first: ArrayLike, last: ArrayLike) -> float:
@@ -486,3 +484,15 @@ def global_risk_together(
     return GlobalRisk(
         consumer, share(-limit, limit) - share(np.maximum(low, -limit), np.minimum(high, limit))
     )
+
+
+def probability_all_accepted(covariance: Floats, accepted_up_to: Floats) -> float:
+    """Return the probability that n errors with the `covariance` (n, n) are all within ±`accepted_up_to` (n,)."""
+    return float(np.mean(np.all(np.abs(_drawn(covariance)) <= accepted_up_to, axis=1)))
+
+
+def _drawn(covariance: Floats) -> Floats:
+    """Return normal draws (m, n) with a `covariance` (n, n), which may be singular; the seed is fixed."""
+    sizes, axes = np.linalg.eigh(covariance)
+    drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sizes)))
+    return np.asarray(drawn @ (axes * np.sqrt(np.maximum(sizes, 0.0))).T)

@@ -19,6 +19,7 @@ from bench.calibration.conformity import (
     Statement,
     global_risk,
     global_risk_together,
+    probability_all_accepted,
     probability_one_outside,
     probability_outside,
 )
@@ -246,6 +247,17 @@ def test_global_risks_of_a_check_at_several_points_are_those_that_are_counted(co
     alone = global_risk_together(Population(0.3, 0.9), np.array([[0.09]]), limit, np.array([1.7]))
     exact = global_risk(Population(0.3, 0.9), 0.3, limit, 1.7)
     assert vars(alone) == pytest.approx(vars(exact), rel=0.03)  # by draws
+
+
+def test_all_points_are_accepted_together_more_seldom_than_each():
+    """Four errors with correlations ±0.6, against the distribution function of scipy."""
+    signs = np.array([1.0, -1.0, 1.0, -1.0])
+    covariance = 0.4 * np.eye(4) + 0.6 * np.outer(signs, signs)
+    limits = np.array([1.8, 1.8, 1.7, 1.9])
+    exact = stats.multivariate_normal(cov=covariance).cdf(limits, lower_limit=-limits)
+    assert probability_all_accepted(covariance, limits) == pytest.approx(exact, abs=0.005)
+    assert exact < stats.norm.cdf(1.7) - stats.norm.cdf(-1.7) - 0.1
+    assert probability_all_accepted(covariance, -limits) == 0.0
 
 
 def test_where_nothing_is_accepted_all_that_conforms_is_rejected():
