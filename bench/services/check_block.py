@@ -16,7 +16,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
-from bench.base.text import as_typed, cause_of, duration
+from bench.base.text import as_typed, cause_of, duration, listed
 from bench.base.yaml_files import load_document, part
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -202,6 +202,12 @@ def chart_of(
         raise Refused("no run of the check block gives a calibration; measure it: bench run … --unit SERIAL")
     _refuse_mixed(values)
     g = values[0].g_m_s2
+    if away := [one.name for one in values if one.g_m_s2 != g]:
+        notes = (
+            *notes,
+            f"local gravity differs from that of {values[0].name}: {listed(away)}; the limits leave out the u of "
+            "both values of g; chart the runs of one place",
+        )
     taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
     try:

@@ -224,6 +224,17 @@ def test_a_reference_at_another_place_has_the_u_of_both_values_of_g(there, tmp_p
     assert np.sqrt(np.abs(more)) == pytest.approx(of_g, rel=1e-3, abs=1e-9)
 
 
+def test_runs_of_two_places_get_a_note(there, monkeypatch):
+    runs = check_block_runs(there, Path("runs"), simulated=True)[:3]
+    assert not any("gravity" in note for note in chart_of(runs, there.check_block).notes)
+    own = check_block.check_values
+    monkeypatch.setattr(
+        check_block, "check_values", lambda run: own(run).per(9.83) if run.name == "check-1" else own(run)
+    )
+    found = chart_of(runs, there.check_block)
+    assert "local gravity differs from that of check-0: check-1; the limits leave out" in found.notes[0]
+
+
 def test_from_python_it_is_the_same_chart(there):
     found = program.chart("runs", bench="my.yaml")
     assert found.to_dict() == of_days(there, 5).to_dict()
