@@ -463,3 +463,36 @@ def global_risk(population: Population, u: float, limit: float, accepted_up_to: 
 
     consumer = part(-math.inf, -limit, of_accepted=True) + part(limit, math.inf, of_accepted=True)
     return GlobalRisk(consumer, part(-limit, limit, of_accepted=False))
+
+
+def global_risk_together(
+    population: Population, covariance: Floats, limit: float, accepted_up_to: Floats
+) -> GlobalRisk:
+    """Return the global risks if a block is accepted only with each of its n values within ±`accepted_up_to` (n,).
+
+    The values are of one true value; their errors have the `covariance` (n, n). The errors are drawn, with a fixed
+    seed; for each draw the accepted true values are an interval, whose part of the population is exact.
+    """
+    errors = _drawn(covariance)
+    low, high = np.max(-accepted_up_to - errors, axis=1), np.min(accepted_up_to - errors, axis=1)
+
+    def share(first: ArrayLike, last: ArrayLike) -> float:
+        ends = [(np.asarray(end) - population.mean) / population.standard_deviation for end in (first, last)]
+        return float(np.mean(np.maximum(special.ndtr(ends[1]) - special.ndtr(ends[0]), 0.0)))
+
+    consumer = share(low, np.minimum(high, -limit)) + share(np.maximum(low, limit), high)
+    return GlobalRisk(
+        consumer, share(-limit, limit) - share(np.maximum(low, -limit), np.minimum(high, limit))
+    )
+
+
+def probability_all_accepted(covariance: Floats, accepted_up_to: Floats) -> float:
+    """Return the probability that n errors with the `covariance` (n, n) are all within ±`accepted_up_to` (n,)."""
+    return float(np.mean(np.all(np.abs(_drawn(covariance)) <= accepted_up_to, axis=1)))
+
+
+def _drawn(covariance: Floats) -> Floats:
+    """Return normal draws (m, n) with a `covariance` (n, n), which may be singular; the seed is fixed."""
+    sizes, axes = np.linalg.eigh(covariance)
+    drawn = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(sizes)))
+    return np.asarray(drawn @ (axes * np.sqrt(np.maximum(sizes, 0.0))).T)

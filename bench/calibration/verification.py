@@ -21,6 +21,7 @@ from bench.calibration.conformity import (
     Population,
     Statement,
     global_risk,
+    global_risk_together,
     probability_one_outside,
     probability_worst_outside,
 )
@@ -318,6 +319,14 @@ class Verification:
             return None
         point = max(self.points, key=lambda p: p.U)
         return global_risk(self.population, point.u, self.limit_g, point.accepted_up_to)
+
+    @cached_property
+    def global_risk_of_all(self) -> GlobalRisk | None:
+        """Global risks of the whole check, which accepts a block only at all points; None without a population."""
+        if self.population is None or len(self.points) == 1:
+            return self.global_risk
+        limits = np.array([point.accepted_up_to for point in self.points])
+        return global_risk_together(self.population, self.covariance, self.limit_g, limits)
 
 
 def points_of(readings: Readings) -> Readings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Final, Literal
@@ -19,7 +20,14 @@ from bench.calibration.intrinsic import INTRINSIC
 from bench.certificate.dcc.reading import coefficients_in
 from bench.history.comparison import Snapshot, compare, joint_of
 from bench.history.control_chart import CheckRun
-from bench.history.equivalence import Drift, against_others, consensus_weights, transport_dark
+from bench.history.equivalence import (
+    Drift,
+    against_others,
+    between_laboratories,
+    consensus_weights,
+    covariance_of_sum,
+    transport_dark,
+)
 from bench.history.measured import STANDARD_GRAVITY
 from bench.results.interlaboratory import CHANGED_P, KitResult, drifts_of, laboratories_of, render_kit
 from bench.results.parts import ValuePart
@@ -144,7 +152,7 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
             )
     if problems:
         raise Refused("\n".join(problems))
-    there = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}
+    there = {s.code: replace(_read(Path(given[s.code]), g_m_s2), block=kit.block) for s in kit.stops}
     pilots = [s.code for s in kit.stops if s.pilot]
     once = [s.code for s in kit.stops if s.code not in pilots[1:]]
     units = {one.unit: code for code, one in there.items()}
@@ -154,14 +162,16 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
             f"the results are in different units ({each}); compare calibrations whose signals have one unit"
         )
     nine = [there[code].per_standard_g().in_nine() for code in once]
-    values, covariances = (np.array([getattr(one, of) for one in nine]) for of in ("vector", "covariance"))
+    values = np.array([one.vector for one in nine])
     drifts = [*_between_pilots(pilots, there), *_between_checks(kit, checks)]
     transport = transport_dark([drift for *_, drift in drifts], INTRINSIC)
-    judged = against_others(values, covariances, transport)
-    covariances = covariances + np.diag(transport**2)
-    weights, dark = consensus_weights(values, covariances)
-    joint = np.einsum("ka,kb,kab->ab", weights, weights, covariances)
-    u = np.sqrt(u_of(joint) ** 2 + dark**2 * np.sum(weights**2, axis=0))
+    n, m = values.shape
+    # K2 and K3 of the one block are errors of every laboratory: no mean reduces them
+    errors = joint_of(nine).whole(np.zeros((n, m, m))).reshape(n, m, n, m)
+    judged = against_others(values, errors, transport)
+    errors = between_laboratories(errors, transport)
+    weights, dark = consensus_weights(values, errors)
+    u = np.sqrt(u_of(covariance_of_sum(weights, errors)) ** 2 + dark**2 * np.sum(weights**2, axis=0))
     p_same = compare([there[code] for code in pilots]).nine.p_constant if len(pilots) > 1 else None
     off = [code for code, one in zip(once, judged, strict=True) if one.off]
     parts = drifts_of(drifts)

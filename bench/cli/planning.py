@@ -103,7 +103,7 @@ def init(request: Init) -> int:
 def budget(request: Budget, json: JsonOption = None, out: OutOption = None) -> int:
     """Compute what each error of the bench contributes to coefficients and accelerations.
 
-    With --rule, exit status 1 if the verification passes with less than 95 % probability.
+    With --rule, exit status 1 if a verification point passes with less than 95 % probability.
     """
     with printing.progress():
         from bench.services.planning import budget_of

@@ -456,13 +456,12 @@ def against_others(
 ) -> tuple[LaboratoryJudged, ...]:
     """Compare each of n laboratories with the Mandel-Paule consensus of all other laboratories.
 
-    `values` (n, m) have the `covariances` (n, m, m). `transport` (m,) is the standard deviation that travel adds
-    to the unit's numbers (`transport_dark`); it widens u. Raises `CalibrationError` for fewer than three
-    laboratories, because two cannot show which one deviates.
+    `values` (n, m) have the `covariances` (n, m, m) or, if laboratories share errors, (n, m, n, m). `transport`
+    (m,) is the standard deviation that travel adds to the unit's numbers (`transport_dark`); it widens u. Raises
+    `CalibrationError` for fewer than three laboratories, because two cannot show which one deviates.
     """
     n, m = values.shape
-    if transport is not None:
-        covariances = covariances + np.diag(transport**2)
+    whole = between_laboratories(covariances, np.zeros(m) if transport is None else transport)
     if n < LEAST_LABORATORIES:
         raise CalibrationError(
             f"{n} laboratories are too few to say which is off; give results of {LEAST_LABORATORIES} or more"
@@ -470,10 +469,10 @@ def against_others(
     found = []
     for own in range(n):
         rest = np.arange(n) != own
-        weights, dark = consensus_weights(values[rest], covariances[rest])
-        difference = values[own] - np.einsum("km,km->m", weights, values[rest])
-        joint = covariances[own] + np.einsum("ka,kb,kab->ab", weights, weights, covariances[rest])
-        joint[np.diag_indices(m)] += dark**2 * np.sum(weights**2, axis=0)
+        weights, dark = consensus_weights(values[rest], whole[rest][:, :, rest])
+        signed = np.insert(-weights, own, 1.0, axis=0)
+        difference = np.sum(signed * values, axis=0)
+        joint = covariance_of_sum(signed, whole) + np.diag(dark**2 * np.sum(weights**2, axis=0))
         found.append((difference, u_of(joint), dark, chi_square(difference, joint)))
     p = np.asarray(special.chdtrc(m, np.array([chi2 for *_, chi2 in found])))
     return tuple(
@@ -482,15 +481,32 @@ def against_others(
     )
 
 
-def consensus_weights(values: Floats, covariances: Floats) -> tuple[Floats, Floats]:
-    """Return the Mandel-Paule weights (n, m) of n laboratories' numbers, and their dark uncertainty (m,)."""
-    variances = np.diagonal(covariances, axis1=1, axis2=2)
-    own = np.arange(len(values))
+def between_laboratories(covariances: Floats, transport: Floats) -> Floats:
+    """Return the covariance (n, m, n, m) of n laboratories, widened by `transport`; see `against_others`."""
+    n, m = covariances.shape[:2]
+    own, whole = np.arange(n), np.zeros((n, m, n, m))
+    if covariances.ndim == whole.ndim:
+        whole += covariances
+    else:
+        whole[own, :, own] = covariances
+    whole[own, :, own] += np.diag(transport**2)
+    return whole
+
+
+def covariance_of_sum(weights: Floats, whole: Floats) -> Floats:
+    """Return the covariance (m, m) of sums with the `weights` (n, m) of values with the covariance `whole`."""
+    return np.asarray(np.einsum("ia,iajb,jb->ab", weights, whole, weights))
+
+
+def consensus_weights(values: Floats, whole: Floats) -> tuple[Floats, Floats]:
+    """Return the Mandel-Paule weights (n, m) of n laboratories' numbers, and their dark uncertainty (m,).
+
+    `whole` (n, m, n, m) is the covariance of the `values` (n, m).
+    """
+    n, m = values.shape
+    one_unit, own = np.zeros(n, dtype=np.int64), np.arange(n)
     dark = np.array(
-        [
-            mandel_paule(Participants(y, np.diag(v), np.zeros_like(own), own))
-            for y, v in zip(values.T, variances.T, strict=True)
-        ]
+        [mandel_paule(Participants(values[:, k], whole[:, k, :, k], one_unit, own)) for k in range(m)]
     )
-    weights = 1.0 / (variances + dark**2)
+    weights = 1.0 / (np.diagonal(whole.reshape(n * m, n * m)).reshape(n, m) + dark**2)
     return weights / weights.sum(axis=0), dark

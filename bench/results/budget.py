@@ -98,6 +98,8 @@ class VerificationPart(RulePart):
     """The uncertainty of Δg at each verification point, and whether that is small enough for a decision."""
 
     capable: bool | None = Field(description="whether the bench can verify every point; null without points")
+    passes: float | None = None
+    """probability that a calibration without a mistake passes at all points together; null without points"""
     points: list[DeltaG]
 
     @property
@@ -303,6 +305,14 @@ def _print_check(result: BudgetResult, out: Console) -> None:
         ),
         style="bold",
     )
+    out.print(_all_points_in_words(check))
+
+
+def _all_points_in_words(check: VerificationPart) -> str:
+    """Return a sentence on the probability that all verification points are passed together."""
+    return message(
+        f"a calibration without a mistake passes all points together with {100 * (check.passes or 0.0):.3g} %"
+    )
 
 
 def _monte_carlo_in_words(found: MonteCarloPart) -> str:
@@ -417,6 +427,7 @@ def render_budget(result: BudgetResult) -> str:
         accelerations=list(_by_magnitude(result)),
         point_columns=[message("verification point"), *POINT_COLUMNS],
         points=list(_by_point(check)),
+        all_points=_all_points_in_words(check),
         verdict={True: "passed", False: "failed", None: "none"}[check.capable],
         limit=f"{1e6 * check.limit_g:g}",
         rule_in_words=rule_in_words(check.decision),

@@ -512,15 +512,19 @@ def repeats_told(found: Repeats, where: str, sizes: Sequence[str]) -> str:
     `where` says which repeats, such as "between records". `sizes` states the term added to u in words, by channel.
     """
     text = message(f"repeats {where} scatter {found.scatter:.2g} × u")
-    if found.held_before is None:
+    before = found.held_before
+    if before is None:
         return message(f"{text}; too few to leave one out")
     if found.term is None or found.held_after is None:
-        return message(f"{text}: u is honest")
+        return message(
+            f"{text}, one left out {before.value:.2g} × u (95 %: {before.low:.2g} to {before.high:.2g}): they do "
+            "not show that u is too small"
+        )
     after = found.held_after
     return message(
         f"{text}; with the term {found.term.name} ({', '.join(sizes)}; {MEANING[found.term.name]}) one left out "
         f"scatters {after.value:.2g} × u (95 %: {after.low:.2g} to {after.high:.2g}), without it "
-        f"{found.held_before.value:.2g} × u"
+        f"{before.value:.2g} × u"
     )
 
 

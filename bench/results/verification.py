@@ -44,10 +44,15 @@ class PointPart(ResultModel):
 
 
 class GlobalRiskPart(ResultModel):
-    """The global risks of a decision rule for a population of blocks, at the point with the largest U."""
+    """The global risks of a decision rule for a population of blocks, at the point with the largest U.
+
+    Those of all points together (`…_all`) are the risks of the check, which accepts a block only at every point.
+    """
 
     false_accept: float = Field(description="fraction of all blocks that are accepted but do not conform")
     false_reject: float = Field(description="fraction of all blocks that are not accepted but conform")
+    false_accept_all: float | None = Field(default=None, description="`false_accept` of all points together")
+    false_reject_all: float | None = Field(default=None, description="`false_reject` of all points together")
     population: Population = Field(description="stated distribution of Δg over many blocks, g")
 
 
@@ -110,14 +115,15 @@ class ReportResult(ResultModel):
 
 def verdict_members(found: Verification) -> dict[str, Any]:
     """Return the members of `VerdictPart` that are not simply attributes of `Verification`."""
-    risk, population, accepted = found.global_risk, found.population, found.passed or found.left_open
+    risk, accepted = found.global_risk, found.passed or found.left_open
+    of_all = {f"{name}_all": share for name, share in vars(found.global_risk_of_all).items()} if risk else {}
     return {
         **found.decision.to_json(),
         "U": found.expanded,
         "p_false_accept": found.p_outside if accepted else None,
         "p_false_accept_worst": found.p_outside_worst if accepted else None,
         "p_false_reject": 1.0 - found.p_outside if found.rejected else None,
-        "global_risk": risk and population and {**vars(risk), "population": population},
+        "global_risk": risk and {**vars(risk), **of_all, "population": found.population},
     }
 
 
@@ -354,7 +360,7 @@ def _to_pass(result: Verification) -> Iterator[str]:
 
 def global_risk_in_words(result: Verification) -> tuple[str, ...]:
     """Return a sentence on the global risks for the stated population; empty if no population is stated."""
-    risk, population = result.global_risk, result.population
+    risk, population = result.global_risk_of_all, result.population
     if risk is None or population is None:
         return ()
     return (
@@ -362,7 +368,7 @@ def global_risk_in_words(result: Verification) -> tuple[str, ...]:
             f"of all blocks with Δg of mean {population.mean * 1e6:.3g} µg and standard deviation "
             f"{population.standard_deviation * 1e6:.3g} µg, as stated, this check accepts "
             f"{probability_in_words(risk.false_accept)} without conforming and does not accept "
-            f"{probability_in_words(risk.false_reject)} that conform (global risks, at the largest U); the "
+            f"{probability_in_words(risk.false_reject)} that conform (global risks of all points); the "
             "risks of this block are those of one of them that was measured so (JCGM 106:2012, A.4)"
         ),
     )

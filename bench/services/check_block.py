@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
-from bench.base.text import as_typed, cause_of, duration
+from bench.base.text import as_typed, cause_of, duration, listed
 from bench.base.yaml_files import load_document, part
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -30,7 +31,7 @@ from bench.run.folder import BENCH, Run, all_runs, find_run
 from bench.services.arguments import python_call
 from bench.services.bench_selection import find_bench_file, own_bench
 from bench.services.calibration import CalibrationResult, calibration_of
-from bench.services.coefficients import coefficients_of, date_of
+from bench.services.coefficients import coefficients_of, date_of, dated
 from bench.services.errors import NoCheckBlock, Refused
 from bench.services.requests.evaluation import Chart
 from bench.services.requests.shared import Bench, runs_folder
@@ -38,7 +39,7 @@ from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
 from drivers.clock import utc_now
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Version of the cached values. Increment it when their form or the calibration behind them changes."""
 
 
@@ -50,6 +51,7 @@ class CheckValues:
     (12,) their standard uncertainty from reading noise alone. `sources` has, by name, the covariance (12, 12) from
     each error that no reading shows. `meters_limits` (12, 12) is the covariance from the meter errors that cancel
     if the same meters are used again. `s` is the standard deviation of a reading, `s_dof` its degrees of freedom.
+    `gravity_u`, the relative u of local g, is in no covariance.
     """
 
     name: str
@@ -67,6 +69,7 @@ class CheckValues:
     meters_limits: Floats
     s: float
     s_dof: float
+    gravity_u: float
 
     def per(self, g_m_s2: float) -> CheckValues:
         """Return the values with K per g of `g_m_s2` (m/s²) in place of this object's g; biases stay the same."""
@@ -142,6 +145,7 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
         meters_limits=sum((s.covariance for s in found.sources if s.cancels), nothing),
         s=found.noise.reading,
         s_dof=found.noise.reading_dof if np.isfinite(found.noise.reading_dof) else 0.0,
+        gravity_u=found.gravity_u,
     )
 
 
@@ -198,8 +202,14 @@ def chart_of(
         raise Refused("no run of the check block gives a calibration; measure it: bench run … --unit SERIAL")
     _refuse_mixed(values)
     g = values[0].g_m_s2
+    if away := [one.name for one in values if one.g_m_s2 != g]:
+        notes = (
+            *notes,
+            f"local gravity differs from that of {values[0].name}: {listed(away)}; the limits leave out the u of "
+            "both values of g; chart the runs of one place",
+        )
     taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
-    baseline, later, reference = _parts(taken, section, of_bench, folder, g)
+    baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
     try:
         (nine, on_basis), (twelve, _) = (
             _charted(baseline, later, reference, section, in_nine=which) for which in (True, False)
@@ -285,7 +295,12 @@ def _basis(
 
 
 def _parts(
-    taken: dict[str, CheckRun], section: CheckBlockSection, of_bench: Path | None, folder: Path, g_m_s2: float
+    taken: dict[str, CheckRun],
+    section: CheckBlockSection,
+    of_bench: Path | None,
+    folder: Path,
+    g_m_s2: float,
+    gravity_u: float,
 ) -> tuple[list[CheckRun], list[CheckRun], Reference | None]:
     """Return the baseline runs, the later runs, and the reference that replaces the baseline (or None)."""
     runs = list(taken.values())
@@ -296,7 +311,7 @@ def _parts(
                 "check_block: reference: a result of 'bench calibrate --json' is listed with other entries; "
                 "state this result alone, or runs alone"
             )
-        return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2)
+        return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2, gravity_u)
     if section.reference:
         named = [
             taken.get(name)
@@ -333,7 +348,7 @@ def _begun(runs: Sequence[CheckRun], section: CheckBlockSection) -> tuple[list[C
     return baseline, [*later, *runs[1:][-1:]]
 
 
-def _reference(path: Path, g_m_s2: float) -> Reference:
+def _reference(path: Path, g_m_s2: float, gravity_u: float) -> Reference:
     try:
         data = from_text(read_regular(path).decode())
     except (OSError, ValueError) as error:
@@ -348,9 +363,9 @@ def _reference(path: Path, g_m_s2: float) -> Reference:
             f"check_block: reference: {path}: has no date (made_at), which its drift needs; "
             "make it with 'bench calibrate --json'"
         )
-    factor = to_gravity(found.g_m_s2, g_m_s2)
-    vector, covariance = found.block.vector * factor, found.covariance * np.outer(factor, factor)
-    return Reference(path.name, when, vector, covariance)
+    # at another place, the errors of both values of g are in the difference from the bench's own runs
+    there = dated(found, path.name, math.inf).per(g_m_s2, gravity_u)
+    return Reference(path.name, when, there.vector, there.covariance)
 
 
 def _drift(section: CheckBlockSection) -> KnownDrift | None:

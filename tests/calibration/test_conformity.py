@@ -18,6 +18,8 @@ from bench.calibration.conformity import (
     Population,
     Statement,
     global_risk,
+    global_risk_together,
+    probability_all_accepted,
     probability_one_outside,
     probability_outside,
 )
@@ -226,6 +228,36 @@ def test_global_risks_are_those_of_the_bivariate_normal(mean, deviation, u, acce
     risk = global_risk(Population(mean, deviation), u, limit, accepted_up_to)
     assert risk.false_accept == pytest.approx(accepted - good, abs=1e-6)
     assert risk.false_reject == pytest.approx(conforms - good, abs=1e-6)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6])
+def test_global_risks_of_a_check_at_several_points_are_those_that_are_counted(correlation):
+    """Seed 5: 400 000 blocks, each measured at four points; a block is accepted only at all of them."""
+    rng, limit, accepted_up_to = np.random.default_rng(5), 2.0, np.array([1.6, 1.7, 1.6, 1.5])
+    covariance = 0.3**2 * ((1.0 - correlation) * np.eye(4) + correlation)
+    true = rng.normal(0.3, 0.9, 400_000)
+    measured = true[:, None] + rng.multivariate_normal(np.zeros(4), covariance, len(true))
+    accepted, conforms = (np.abs(measured) <= accepted_up_to).all(axis=1), np.abs(true) <= limit
+    found = global_risk_together(Population(0.3, 0.9), covariance, limit, accepted_up_to)
+    for stated, counted in (
+        (found.false_accept, np.sum(accepted & ~conforms)),
+        (found.false_reject, np.sum(~accepted & conforms)),
+    ):
+        assert stats.binomtest(int(counted), len(true), stated).pvalue > 0.001
+    alone = global_risk_together(Population(0.3, 0.9), np.array([[0.09]]), limit, np.array([1.7]))
+    exact = global_risk(Population(0.3, 0.9), 0.3, limit, 1.7)
+    assert vars(alone) == pytest.approx(vars(exact), rel=0.03)  # by draws
+
+
+def test_all_points_are_accepted_together_more_seldom_than_each():
+    """Four errors with correlations ±0.6, against the distribution function of scipy."""
+    signs = np.array([1.0, -1.0, 1.0, -1.0])
+    covariance = 0.4 * np.eye(4) + 0.6 * np.outer(signs, signs)
+    limits = np.array([1.8, 1.8, 1.7, 1.9])
+    exact = stats.multivariate_normal(cov=covariance).cdf(limits, lower_limit=-limits)
+    assert probability_all_accepted(covariance, limits) == pytest.approx(exact, abs=0.005)
+    assert exact < stats.norm.cdf(1.7) - stats.norm.cdf(-1.7) - 0.1
+    assert probability_all_accepted(covariance, -limits) == 0.0
 
 
 def test_where_nothing_is_accepted_all_that_conforms_is_rejected():

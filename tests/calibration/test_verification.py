@@ -13,7 +13,13 @@ from bench.model import Block
 from bench.readings.table import make_readings
 from bench.results import tables
 from bench.results.plots import point_labels
-from bench.results.verification import advice, global_risk_in_words, place_in_words, verdict_line
+from bench.results.verification import (
+    advice,
+    global_risk_in_words,
+    place_in_words,
+    probability_in_words,
+    verdict_line,
+)
 from bench.validation.paper_bench import STAND_U, TRUTH, U0, K, simulate, specific_force
 from tests.support.honest_runs import MODEL
 from tests.support.results import verification_json
@@ -249,6 +255,8 @@ def test_a_global_risk_only_of_a_stated_population(covariance):
     expected = global_risk(population, worst.u, 3e-4, 3e-4 - worst.U)
     told = verification_json(result)["global_risk"]
     assert (told["false_accept"], told["false_reject"]) == (expected.false_accept, expected.false_reject)
-    assert any(
-        "standard deviation 100 µg, as stated" in sentence for sentence in global_risk_in_words(result)
-    )
+    assert told["false_reject_all"] > told["false_reject"]  # a block is accepted only at all points
+    assert told["false_accept_all"] <= told["false_accept"]
+    (sentence,) = global_risk_in_words(result)
+    assert "standard deviation 100 µg, as stated" in sentence
+    assert f"does not accept {probability_in_words(told['false_reject_all'])}" in sentence

@@ -25,15 +25,15 @@ U = np.array([2e-5] * 9 + [1e-5] * 3)
 NAMES = ["Kyiv", "Graz", "Brno", "Lviv", "Turin"]
 
 
-def result(rng, file, change=0.0):
-    """A laboratory's result, as `calibrate --json` has it, with independent errors of u."""
+def result(rng, file, change=0.0, **more):
+    """A laboratory's result, as `calibrate --json` has it, with independent errors of u and the members `more`."""
     vector = TRUTH + rng.normal(0.0, U) + change
     stated = zip(COEFFICIENTS, vector.tolist(), U.tolist(), strict=True)
     data = {
         "unit": "V", "g_m_s2": 9.80665, "noise": {"reading_v": 1e-4}, "order": list(COEFFICIENTS),
         "covariance": np.diag(U**2).tolist(),
         "coefficients": {name: {"value": v, "u": u, "U": 2 * u, "k": 2.0} for name, v, u in stated},
-    }  # fmt: skip
+    } | more  # fmt: skip
     Path(file).write_text(json.dumps(data), encoding="utf-8")
     return file
 
@@ -110,6 +110,20 @@ def test_a_block_that_changes_on_its_way_is_told_and_widens_u(planned):
     assert found.transport["by"] < 2e-5
     assert (found.off, found.accepted) == ([], False)
     assert "CHANGED from" in render_kit(found)
+
+
+def test_errors_of_the_block_that_all_laboratories_share_stay_in_u_of_the_consensus(planned):
+    """K2 shifts U0x by 40 µV in every laboratory: no mean reduces this error, and differences are free of it."""
+    rng, shared, own = np.random.default_rng(10), 4e-5, U[9]
+    covariance = np.diag(U**2 + shared**2 * (np.arange(12) == 9)).tolist()
+    more = {"covariance": covariance, "block_terms": (shared * np.eye(12)[[9]]).tolist()}
+    results = [f"{s.code}={result(rng, f'{s.code}.json', **more)}" for s in planned.stops]
+    kit_seal("kit.yaml", results)
+    found = kit_evaluate("kit.yaml", results)
+    scale = abs(TRUTH[0])
+    assert found.consensus["bx"].u == pytest.approx(np.hypot(shared, own / np.sqrt(5.0)) / scale, rel=0.01)
+    for one in found.laboratories:
+        assert one.differences["bx"].u == pytest.approx(own * np.sqrt(1.25) / scale, rel=0.2)
 
 
 def test_monitors_at_a_stop_show_what_the_block_did_there(planned, tmp_path):

@@ -64,6 +64,9 @@ def test_json_adds_up(bench):
     for point in check["points"]:
         assert point["accepted_up_to"] == pytest.approx(3e-4 - 1.64485 * point["u"], rel=0.01)
     assert len(told["verification"]["points"]) == 4
+    # each point passes with 92 %; 300 runs simulated elsewhere, 80 ± 2 % of which passed all four
+    assert min(point["passes"] for point in check["points"]) == pytest.approx(0.92, abs=0.01)
+    assert check["passes"] == pytest.approx(0.80, abs=0.03)
     assert told["monte_carlo"]["trials"] == 2500
     assert len(told["monte_carlo"]["outputs"]) == 16
     assert told["coefficients"]["Kxy"]["dof"] is None
@@ -78,6 +81,7 @@ def test_printed_for_a_person(bench):
         "U (k = 2.00, 95.45 %)",
         "10 g",
         "rule: non-binary (false acceptance ≤ 5 % a point): CANNOT BE PASSED with 95.45 %",
+        "passes all points together with 8",
         "clause 8",
     ):
         assert told in out

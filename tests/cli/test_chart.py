@@ -6,6 +6,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 import bench as program
@@ -195,6 +196,43 @@ def test_a_reference_from_elsewhere_stands_in_for_a_baseline(there, tmp_path):
         chart_of(
             runs, section.model_copy(update={"reference": ("none.json",)}), of_bench=tmp_path / "my.yaml"
         )
+
+
+def test_a_reference_at_another_place_has_the_u_of_both_values_of_g(there, tmp_path):
+    """g there is 0.2 % larger, with u = 50 ppm: K per local g is larger, too, and S and b have both u of g."""
+    found = program.calibrate("check-0")
+    result = found.to_dict()
+    section = there.check_block.model_copy(update={"reference": ("theirs.json",)})
+    runs = check_block_runs(there, Path("runs"), simulated=True)
+    references = []
+    for g, gravity_u in ((result["g_m_s2"], 5e-5), (1.002 * result["g_m_s2"], 5e-5)):
+        factor = np.where(np.arange(12) < 9, g / result["g_m_s2"], 1.0)
+        values = {
+            name: {**one, "value": one["value"] * times}
+            for (name, one), times in zip(result["coefficients"].items(), factor, strict=True)
+        }
+        covariance = (np.array(result["covariance"]) * np.outer(factor, factor)).tolist()
+        other = {"g_m_s2": g, "gravity_u": gravity_u, "coefficients": values, "covariance": covariance}
+        (tmp_path / "theirs.json").write_text(json.dumps(result | other), encoding="utf-8")
+        references.append(chart_of(runs, section, of_bench=tmp_path / "my.yaml").chart.reference)
+    here, elsewhere = references
+    assert elsewhere.value == pytest.approx(here.value)
+    more = np.diag(elsewhere.covariance - here.covariance)
+    assert found.calibration.gravity_u > 4e-5
+    of_g = np.abs(here.value) * np.hypot(5e-5, found.calibration.gravity_u)
+    of_g[3:6] = 0.0  # the angles between the axes
+    assert np.sqrt(np.abs(more)) == pytest.approx(of_g, rel=1e-3, abs=1e-9)
+
+
+def test_runs_of_two_places_get_a_note(there, monkeypatch):
+    runs = check_block_runs(there, Path("runs"), simulated=True)[:3]
+    assert not any("gravity" in note for note in chart_of(runs, there.check_block).notes)
+    own = check_block.check_values
+    monkeypatch.setattr(
+        check_block, "check_values", lambda run: own(run).per(9.83) if run.name == "check-1" else own(run)
+    )
+    found = chart_of(runs, there.check_block)
+    assert "local gravity differs from that of check-0: check-1; the limits leave out" in found.notes[0]
 
 
 def test_from_python_it_is_the_same_chart(there):

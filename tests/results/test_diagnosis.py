@@ -14,6 +14,7 @@ from bench.diagnosis import NamedEffect
 from bench.diagnosis.result import EffectValue
 from bench.readings.csv import write_csv
 from bench.results import plots
+from bench.results.diagnosis_parts import repeats_told
 from bench.results.diagnosis_words import (
     by_clause,
     closed_in_words,
@@ -23,6 +24,7 @@ from bench.results.diagnosis_words import (
     smallest_found,
     unit_in_print,
 )  # fmt: skip
+from bench.stats.repeats import compare_repeats
 from tests.support.diagnosis_bench import paper_run
 from tests.support.in_ukrainian import english_in, words_of
 
@@ -222,4 +224,17 @@ def test_a_headline_does_not_claim_a_smaller_rms_than_the_details_show():
     )
     assert closed_in_words(0.97, 20e-6, 27e-6, 26e-6) == (
         "gap closed 97 % by chi-square; rms from 20 µg to 27 µg (noise and u of the prediction: 26 µg)"
+    )
+
+
+def test_repeats_that_scatter_as_stated_prove_no_u():
+    """Seed 2: five repeats; the words give the interval, within which u may be too small by a factor of two."""
+    repeats = compare_repeats(np.random.default_rng(2).normal(size=(1, 5, 1)), np.full((1, 5, 1), 1.0))
+    assert repeats.term is None
+    assert repeats.held_before.low < 1.0
+    assert repeats.held_before.high > 2.0
+    told = repeats_told(repeats, "within the record", [])
+    assert told.endswith(
+        f"(95 %: {repeats.held_before.low:.2g} to {repeats.held_before.high:.2g}): they do not show that u is too "
+        "small"
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -36,7 +37,13 @@ from bench.calibration.budget.propagation import (
     validate,
 )
 from bench.calibration.budget.sources import ROLL_ORIGIN
-from bench.calibration.conformity import SIMPLE, DecisionRule, MeasuredValues, Population
+from bench.calibration.conformity import (
+    SIMPLE,
+    DecisionRule,
+    MeasuredValues,
+    Population,
+    probability_all_accepted,
+)
 from bench.calibration.design import coefficient_columns
 from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
@@ -251,14 +258,18 @@ def delta_g_variances(budget: Budget, *, reading: bool = True) -> Floats:
     Delta g is |a| - 1 at each of the setup's v verification points. Errors of gravity and of a meter's gain
     act alike on calibration and check, and cancel. Without `reading` only errors of coefficients count.
     """
+    return np.stack([np.sum(part**2, axis=1) for part in _delta_g_parts(budget, reading=reading)], axis=1)
+
+
+def _delta_g_parts(budget: Budget, *, reading: bool = True) -> list[Floats]:
+    """Return for each source the changes (v, q) of delta g at the points; column j is due to its draw j."""
     setup = budget.setup
     rows = np.flatnonzero(setup.verification)
     by_coefficient, by_signal = modulus_slopes(setup.force[rows], setup.block)
     functionals = np.einsum("vp,pni->vni", by_coefficient, budget.gain)
     if reading:
         functionals[np.arange(len(rows)), rows] += by_signal
-    parts = [parts_of(c.source, setup, functionals) for c in budget.contributions]
-    return np.stack([np.sum(part**2, axis=1) for part in parts], axis=1)
+    return [parts_of(c.source, setup, functionals) for c in budget.contributions]
 
 
 def delta_g(
@@ -454,6 +465,15 @@ class Assessment:
         If so, a calibration without mistakes passes each point with at least the coverage probability.
         """
         return all(point.capable for point in self.points) if self.points else None
+
+    @cached_property
+    def passes(self) -> float | None:
+        """Probability that a calibration without a mistake passes at all points; None without any."""
+        if not self.points:
+            return None
+        every = np.concatenate(_delta_g_parts(self.budget), axis=1)
+        limits = np.array([point.accepted_up_to for point in self.points])
+        return probability_all_accepted(every @ every.T, limits)
 
     @property
     def notes(self) -> tuple[str, ...]:
