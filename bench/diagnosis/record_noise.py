@@ -95,9 +95,15 @@ class NoiseTrials:
 
     @classmethod
     def of(cls, record: Record) -> NoiseTrials:
-        """Return the trial noises for the times of a record; its relative noise is that of white noise alone."""
-        relative = np.outer(record.scale, record.scale)
-        found = (linalg.eigh(kernel / relative) for kernel in slow_kernels(record.time_h))
+        """Return the trial noises for the times of a record; its relative noise is that of white noise alone.
+
+        With several levels, slow noise may also be one of the gain, or of the reference: in proportion to the level.
+        """
+        kernels = list(slow_kernels(record.time_h))
+        if record.several_levels:
+            level = record.reference_v / np.sqrt(np.mean(record.reference_v**2))
+            kernels += [kernel * np.outer(level, level) for kernel in kernels]
+        found = (linalg.eigh(kernel / np.outer(record.scale, record.scale)) for kernel in kernels)
         slow = tuple((np.maximum(variance, 0.0), vectors) for variance, vectors in found)
         return cls(slow, record.trend / record.scale[:, None])
 

@@ -13,7 +13,6 @@ from rich.console import Console
 
 from bench.base.arrays import CHANNELS
 from bench.base.files import to_text, write_whole
-from bench.base.languages import message
 from bench.base.tables import as_text
 from bench.calibration.budget.sources import meter_gain_sources, unread_sources
 from bench.calibration.result import CalibrationError
@@ -102,21 +101,12 @@ class RecordCalibrationResult:
         return f"{as_text(self.print_on)}\nbench: {self.bench}"
 
 
-GAIN_STAYS: Final = message(
-    "u of the gain leaves out slow changes in proportion to the voltage, of a gain or of the reference; compare "
-    "the gains of several records"
-)
-
-
 def record_calibration_of(source: Source) -> RecordCalibrationResult:
     """Calibrate meters at a known input, corrected for the model's effects. Raises `CalibrationError`."""
     hidden = (
         *unread_sources(source.bench, source.model), *meter_gain_sources(source.bench, source.traced.day)
     )  # fmt: skip
-    found = calibrate_record(source.readings, source.model.effects, hidden)
-    # the noise model adds slow noise to the signal at every level alike
-    more = (GAIN_STAYS,) * found.record.several_levels
-    return RecordCalibrationResult(source, replace(found, notes=(*found.notes, *more)))
+    return RecordCalibrationResult(source, calibrate_record(source.readings, source.model.effects, hidden))
 
 
 def meters_at_rest(source: Source, found: RecordCalibration) -> Stability:
