@@ -97,7 +97,7 @@ class NoiseTrials:
     def of(cls, record: Record) -> NoiseTrials:
         """Return the trial noises for the times of a record; its relative noise is that of white noise alone.
 
-        With several levels, slow noise may also be one of the gain, or of the reference: in proportion to the level.
+        With several levels, slow noise may also be one of the gain or of the reference, in proportion to the level.
         """
         kernels = list(slow_kernels(record.time_h))
         if record.several_levels:
