@@ -527,7 +527,7 @@ def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> Che
     spread = nine.covariance[np.ix_(kept, kept)]
     none = np.zeros_like(spread)
     return CheckRun(
-        name, when, nine.values[kept], spread, np.sqrt(np.diag(spread)), s, float(dof), "monitor", (), none, none,
+        name, when, nine.values[kept], spread, np.sqrt(np.diag(spread)), s, dof, "monitor", (), none, none,
         tuple(names),
     )  # fmt: skip
 

@@ -309,9 +309,11 @@ def _print_check(result: BudgetResult, out: Console) -> None:
 
 
 def _all_points_in_words(check: VerificationPart) -> str:
-    """Return a sentence on the probability that all verification points are passed together."""
+    """Return a sentence on the probability that all verification points are passed together; empty if unknown."""
+    if check.passes is None:
+        return ""
     return message(
-        f"a calibration without a mistake passes all points together with {100 * (check.passes or 0.0):.3g} %"
+        f"a calibration without a mistake passes all points together with {100 * check.passes:.3g} %"
     )
 
 

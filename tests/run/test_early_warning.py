@@ -90,6 +90,16 @@ def watch(rows, watcher=None):
     return [(number, sign) for number, row in enumerate(rows, start=1) for sign in watcher.take(row)]
 
 
+def stops_of(rows):
+    """Return the numbers of the readings at which the run stops, if a person goes on each time."""
+    watcher, stops = EarlyWarning(NOMINAL, MODEL, BENCH_U), []
+    for number, row in enumerate(rows, start=1):
+        if any(sign.confident for sign in watcher.take(row)):
+            stops.append(number)
+            watcher.went_on()
+    return stops
+
+
 def at(number, off_rad):
     """An angle by which one reading alone (from 1) is off."""
     return np.where(np.arange(1, N + 1) == number, off_rad, 0.0)
@@ -475,12 +485,7 @@ def test_readings_beyond_any_effect_stop_the_run_although_nothing_explains_them(
         signal[9:, 1:] += 2.0 * np.random.default_rng(7).normal(size=(N - 9, 2))
         return signal
 
-    watcher, stops = EarlyWarning(NOMINAL, MODEL, BENCH_U), []
-    for number, row in enumerate(run_of(1, wired=wired), start=1):
-        stops += [number for sign in watcher.take(row) if sign.confident]
-        if stops[-1:] == [number]:
-            watcher.went_on()
-    assert stops == [12]
+    assert stops_of(run_of(1, wired=wired)) == [12]
 
 
 def test_a_still_channel_that_a_person_accepts_stops_once_on_each_mounting():
@@ -490,12 +495,7 @@ def test_a_still_channel_that_a_person_accepts_stops_once_on_each_mounting():
         signal[:, 1] = 0.0
         return signal
 
-    watcher, stops = EarlyWarning(NOMINAL, MODEL, BENCH_U), []
-    for number, row in enumerate(run_of(1, wired=wired), start=1):
-        stops += [number for sign in watcher.take(row) if sign.confident]
-        if stops[-1:] == [number]:
-            watcher.went_on()
-    assert stops == [28, 55]
+    assert stops_of(run_of(1, wired=wired)) == [28, 55]
 
 
 def test_a_block_whose_bias_depends_on_temperature_by_1_mg_per_kelvin_is_measured_on():
