@@ -6,8 +6,8 @@
     print(result.coefficients["Kxx"].value, result.coefficients["Kxx"].u)
     result.report("report.html")
 
-Readings are a file, a run by name, or a pandas DataFrame with the columns of the file. What is public stands in
-`__all__`; it is imported when it is first used, so that `import bench` takes no time.
+Readings are a file, a run by name, or a pandas DataFrame with the columns of the file. The public names are in
+`__all__`; each is imported when it is first used, so that `import bench` is quick.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ class Entry:
 
     @property
     def of_modules(self) -> bool:
-        """Whether the text is from a module, which looks it up after filling its blanks.
+        """Whether the text is from a module: modules fill the blanks before they look a text up.
 
         A template looks its texts up before it fills the blanks.
         """
@@ -291,9 +291,9 @@ class Catalogue:
     def _filled(self, text: str, *, sure: bool = True, clauses: bool = False) -> str | None:
         """Return the translation of `text`, an entry with filled blanks; None if no entry matches.
 
-        `sure` tries the entries with at least `_SURE` letters. Otherwise the shorter entries are tried, such as
-        "{0} in {1}", and their blanks match short values only. With `clauses`, the blanks of an entry that
-        begins with one may match several clauses or sentences.
+        With `sure`, only the entries with at least `_SURE` letters are tried. Otherwise only the shorter entries
+        are tried, such as "{0} in {1}", and their blanks match short values only. With `clauses`, the blanks of an
+        entry that begins with one may match several clauses or sentences.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:

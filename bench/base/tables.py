@@ -54,9 +54,9 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 
 
 def print_notes(out: Console, notes: Iterable[str], lead: str = "") -> None:
-    """Print the notes of a result, each translated as a whole, unless `--quiet` is set; JSON and page have them.
+    """Print the notes of a result, each translated as a whole; print none with `--quiet`.
 
-    `lead` names the source among several.
+    The JSON and the page contain the notes, too. `lead` names the source among several.
     """
     for note in () if quiet.get() else notes:
         out.print(f"{translated(message('note'))}: {lead}{translated(note)}")

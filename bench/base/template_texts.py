@@ -226,7 +226,7 @@ def mark(text: Any, *values: object, context: str = "") -> Any:
 
 
 def environment_for(name: str, package: str) -> Environment:
-    """Return a Jinja environment for a package's pages in a language, with `_` for texts in expressions."""
+    """Return the Jinja environment of a package's pages in a language; `_("…")` marks texts in expressions."""
     environment = Environment(
         loader=PackageLoader(package, "templates"),
         extensions=[] if name == ENGLISH else [TranslatedTemplates],

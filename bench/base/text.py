@@ -43,7 +43,7 @@ def visible(text: str) -> str:
 
 
 def as_typed(name: object) -> str:
-    """Return a name or path as a shell takes it: in quotes if it has blanks or signs with a meaning.
+    """Return a name or path as a shell takes it: in quotes if it has blanks or characters with a meaning.
 
     A path that begins with a dash would be taken for an option, so it begins with "./".
     """

@@ -401,7 +401,7 @@ class FileModel(BaseModel):
 
     @classmethod
     def alternatives(cls) -> Iterable[type[FileModel]]:
-        """Return the models that a file may use instead of this one, as one for each driver; default none."""
+        """Return the models that a file may use instead of this one, such as one for each driver. Default: none."""
         return ()
 
 

@@ -151,7 +151,10 @@ class Store:
         self._lock = FileLock(folder / _LOCK, timeout=0)
 
     def __enter__(self) -> Store:
-        """Lock the folder. Raises `Refused` if another program holds it, or if it is not that of a batch."""
+        """Lock the folder.
+
+        Raises `Refused` if another program holds it, or if the folder is not that of a batch.
+        """
         if self.folder.exists() and not self.folder.is_dir():
             raise Refused(f"--out {self.folder}: this is a file; name a folder")
         there = self.folder.is_dir() and any(one.name not in _BEFORE for one in self.folder.iterdir())

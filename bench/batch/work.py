@@ -319,7 +319,7 @@ def stored_calibration(folder: Path, notes: list[str]) -> CalibrationValues | No
 
 
 def _read(file: Path, understood: Any, notes: list[str]) -> Any:
-    """Return an earlier result, read by `understood`; None if missing or, as `notes` then say, unreadable."""
+    """Return an earlier result, parsed by `understood`; None if missing or unreadable (`notes` then say why)."""
     try:
         told = read_json(read_regular(file))
         return understood(told[0] if isinstance(told, list) and len(told) == 1 else told)

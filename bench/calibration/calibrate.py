@@ -168,7 +168,7 @@ def solve(
 class Posed(NamedTuple):
     """The problem of a calibration, and the rows of `readings` that it uses, the oriented ones with their angles.
 
-    `assumed` are the names of the stand angles that are only assumed; `told` says whether other runs tell how the
+    `assumed` are the names of the stand angles that are only assumed; `told` says whether other runs show how the
     angles change. `join_free` says whether free positions were asked for, `nominal_angles` whether the angles in
     `rows` or `problem` are nominal ones.
     """

@@ -75,7 +75,7 @@ def closed_form_gain(readings: Readings) -> Floats:
 
 
 def nominal_angles_rad(readings: Readings) -> Floats:
-    """Return the nominal angles (n,) that the closed form assumes. Raises as `closed_form_gain` does."""
+    """Return the nominal angles (n,) that the closed form assumes. Raises the errors of `closed_form_gain`."""
     _cells(readings)
     return np.asarray(NOMINAL_RAD[readings.point - 1])
 

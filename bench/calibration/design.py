@@ -282,7 +282,7 @@ class Problem:
 
     @cached_property
     def _many_conditions(self) -> Conditions:
-        """The conditions repeated for each step of the differences; each repetition has mountings of its own."""
+        """The conditions, repeated for each finite-difference step; each repetition has separate mountings."""
         return self.conditions.repeated(3 + 2 * len(self._columns))
 
     @cached_property
@@ -311,7 +311,7 @@ class Problem:
         return Linearisation(stages.readings, columns, self.slope(block, others))
 
     def by_stages(self, stages: Stages, block: Block, others: Floats) -> Floats:
-        """Return the derivatives (n, 3, 12 + q) of the readings of `stages`, zero by the stand angles.
+        """Return the derivatives (n, 3, 12 + q) of the readings of `stages`; columns of stand angles are zero.
 
         `stages` are those of the model at the point (`block`, `others`).
         """
@@ -332,7 +332,7 @@ class Problem:
         return replace(self.model, effects=self.effects_at(others)) if self.effects else self.model
 
     def other_step(self, j: int) -> Floats:
-        """Return the step (q,) of the central difference by unknown `j` after the coefficients, else zero."""
+        """Return a vector (q,) with the difference step of unknown `j` after the coefficients, else zero."""
         step = np.zeros(len(self.stand) + len(self.effects))
         step[j] = 1e-3 * self.prior_u[j] if j >= len(self.stand) else STEP_RAD
         return step
@@ -385,7 +385,7 @@ def make_problem(
 
 
 def _with_shared(problem: Problem, known: KnownStand | None) -> Problem:
-    """Return the problem with the errors that its angles share, as one mounting and other runs tell.
+    """Return the problem with correlated priors of the stand angles, from shared mountings and from other runs.
 
     Angles that a level measured keep their independent priors.
     """

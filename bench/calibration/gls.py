@@ -421,7 +421,7 @@ def sizes_told(problem: Problem, fit: Fit) -> int:
     """Return how many parameters of effects without a stated u the readings determine.
 
     A stated prior adds as much to the misfit as its unknown takes away. A weak prior adds nothing, and its unknown
-    takes away only what the readings tell of it, such as nothing of the head's marks where no reading is.
+    takes away only as much as the readings determine it: nothing, for example, for head marks without readings.
     """
     variances = np.diag(fit.covariance)[FIXED + len(problem.stand) :]
     weak = np.array([not effect.stated for effect in problem.effects], dtype=np.bool_)

@@ -442,7 +442,7 @@ def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequenc
 
 
 def _groupings(readings: Readings) -> Iterator[tuple[str, list[str]]]:
-    """Yield name and label of each row for the groupings by which units may differ: none, pass, installation."""
+    """Yield name and row labels of each grouping of rows by which units may differ: none, pass, installation."""
     yield "", [""] * len(readings)
     yield "pass", [str(number) for number in readings.pass_number]
     yield "installation", [str(label) for label in readings.installation]

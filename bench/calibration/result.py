@@ -18,7 +18,7 @@ from bench.stats.repeats_likelihood import LEAST_DOF
 
 
 class FaultyReadings(CalibrationError):
-    """The readings, not the procedure, are the reason for a missing calibration."""
+    """Raised if the readings, not the procedure, are the reason why there is no calibration."""
 
 
 class SpoiledFit(FaultyReadings):
@@ -30,7 +30,7 @@ class SpoiledFit(FaultyReadings):
 
 
 class DeviatingReadings(SpoiledFit):
-    """A `SpoiledFit` that names the readings that are far off."""
+    """A `SpoiledFit` that names the readings that deviate strongly from the fit."""
 
 
 @dataclass(frozen=True)

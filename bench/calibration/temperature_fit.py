@@ -62,7 +62,10 @@ class ThermalProblem:
     floor: float
 
     def force(self, others: Floats, setting_rad: float = 0.0) -> Floats:
-        """Return the specific force of each row on the axes of the block, g, shape (n, 3)."""
+        """Return the specific force of each row on the axes of the block, g, shape (n, 3).
+
+        `others` (q,) are the stand angles, rad; `setting_rad` is the setting error of the head.
+        """
         still = Block(np.eye(3), np.zeros(3))
         problem = self.problem
         return problem.model.specific_force(

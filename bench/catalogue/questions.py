@@ -399,10 +399,10 @@ def _grouped(column: ColumnElement[Any], *further: Any) -> Callable[[Condition],
 def _used(
     table: Table, key: ColumnElement[Any], names: str, order: str, *further: Any
 ) -> Callable[[Condition], Select[Any]]:
-    """Return the function that makes the query for what runs used (instruments, certificates).
+    """Return the function that builds the query for what runs used (instruments, certificates).
 
-    `table` has a row for each, `key` is its column in `USES`; `names` are the columns shown, sorted by
-    `order`. `further` are counts beside those of runs and units.
+    `table` has a row for each, `key` is its column in `USES`; `names` are the columns shown, sorted by `order`.
+    `further` are counts in addition to those of runs and units.
     """
     columns = [table.c[name] for name in names.split()]
 

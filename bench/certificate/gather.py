@@ -143,7 +143,7 @@ def found_by(
     """Evaluate a run with its own bench file; return the results, with U = `k` u of the coefficients.
 
     `asked` are the user's options for the verdict. `agreed` is the decision rule if neither `asked` nor the
-    record names one. Raises as `certificate_of`.
+    record names one. Raises the errors of `certificate_of`.
     """
     (source,) = load_sources(Request([name], runs))
     run = source.run

@@ -373,7 +373,7 @@ def register_result(register: Register, number: str | None, runs: Path | None) -
 
 
 def _same(register: Register, number: str, runs: Path, problems: list[str]) -> bool:
-    """Return whether the unsigned forms, made again, are as issued; add any failure to `problems`."""
+    """Return whether the remade unsigned XML and PDF equal the issued ones; add any failure to `problems`."""
     stated = register.standings[number].entry.data["bodies"]
     try:
         again = _digests(made_again(register, number, runs))

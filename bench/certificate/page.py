@@ -206,7 +206,7 @@ def body_of(certificate: Certificate, dcc: bytes) -> bytes:
 
 
 def pictures_of(certificate: Certificate, dcc: bytes, dots_per_inch: float = 110.0) -> list[bytes]:
-    """Return an image (PNG) of each page. Raises as `body_of`."""
+    """Return an image (PNG) of each page. Raises the errors of `body_of`."""
     import typst
 
     data = _inputs(certificate, dcc)

@@ -135,7 +135,7 @@ def _factor(name: str, unit: str | None) -> float:
 
 
 def _summand(name: str, unit: str | None) -> float:
-    """Return what to add to a temperature in `unit`, times its factor, for °C; 0 for other quantities."""
+    """Return the offset that converts a temperature, multiplied by the factor of its `unit`, to °C; else 0."""
     return TEMPERATURES[plain_unit(unit)][1] if unit is not None and name.endswith("_c") else 0.0
 
 

@@ -428,11 +428,11 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
 
 
 def _twins(linear: LinearSystem) -> tuple[tuple[str, ...], ...]:
-    """Return the first mounting and its first pass: a change there looks like one in all later readings.
+    """Return the first mounting and its first pass: a change there is equivalent to one in all later readings.
 
-    The coefficients absorb the difference; with the change in the later readings, they hold before the step. The
-    result is empty if `spells` has no set of all later readings: if verification points come first, or inputs or
-    free positions later.
+    The coefficients absorb the difference: if the change is assigned to the later readings, they apply before it.
+    The result is empty if `spells` has no set of all later readings: if verification points come first, or inputs
+    or free positions later.
     """
     readings, conditions = linear.readings, linear.conditions
     known = ~np.isin(readings.installation, list(UNORIENTED))

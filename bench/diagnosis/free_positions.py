@@ -182,7 +182,10 @@ def _sensor_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[s
 
 
 def _add_unnamed(rows: FreeRows, collector: Collector, unit: float) -> None:
-    """Add zeros and scale factors that differ by record, by sensor or in common, and zeros that wander."""
+    """Add unnamed families: zeros and scale factors by record, and zeros that wander.
+
+    Zeros and scale factors are those of each sensor, or common to all sensors.
+    """
     records = np.unique(rows.record)
     several = [s for s in range(rows.sensors) if len(np.unique(rows.record[rows.sensor == s])) > 1]
     for family, coefficients in ((ZERO_BY_RUN, ZEROS), (SCALE_BY_RUN, SCALES)):

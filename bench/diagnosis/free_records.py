@@ -89,7 +89,7 @@ class FreeRows:
         return columns
 
     def change(self, of: Sequence[int], sensor: int, channel: int) -> Floats:
-        """Return the change (N,) of |a|, g, if the coefficient `of[channel]` grows by the |scale factor|."""
+        """Return the change (N,) of |a|, g, if `of[channel]` grows by the absolute scale factor of the channel."""
         size = abs(float(self.block[sensor].K[channel, channel]))
         return -size * self.coefficients[:, OWN * sensor + of[channel]]
 

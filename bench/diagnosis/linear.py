@@ -423,7 +423,10 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
 
 
 def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return, for m signals, the force a (m, 3), the unit vectors along d|a|/du (m, 3), and 1 / |d|a|/du| (m,)."""
+    """Return, for m signals, the force a (m, 3), g, the unit gradients of |a| (m, 3), and the step per g (m,).
+
+    The gradients are by the signals. The step is the change of the signals, along the gradient, for 1 g of |a|.
+    """
     if not len(signal):
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     force = block.specific_force(signal)

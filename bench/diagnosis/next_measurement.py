@@ -309,7 +309,7 @@ class _Bill:
     # --- ties ---------------------------------------------------------------------------------------
 
     def settling(self) -> Proposal | None:
-        """Return the procedure that separates the most pairs, else separates fastest; None if none helps."""
+        """Return the procedure that separates most pairs, else most per minute; None if none helps."""
         before = self._divergences(None)
         bills, chances = [], []
         for path, plan in self.plans.items():

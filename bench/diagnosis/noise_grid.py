@@ -241,8 +241,8 @@ def _blocks(
 ) -> tuple[tuple[tuple[slice | Ints, Floats], ...], Floats, float]:
     """Return the `blocks` of a `Whitener`, the variances (N,) of a setting error of 1 rad, and ln |T|.
 
-    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent. The
-    noise includes a `known` setting error, rad per unit of noise, which leaves no variances.
+    A setting or a column of `local` (N, k), in units of noise, joins rows; T makes their noise independent. If the
+    setting error is `known`, rad per unit of noise, the noise includes it, and the variances are zero.
     """
     mine = np.where(linear.setting >= 0, linear.setting, linear.settings + np.arange(len(linear)))
     row, column = np.nonzero(local)

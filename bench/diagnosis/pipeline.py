@@ -167,7 +167,7 @@ def diagnose(
 
 
 def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
-    """Return the joint estimate without weak effects that held-out readings do not confirm, and these.
+    """Return the joint estimate without weak effects that held-out readings do not confirm, and these effects.
 
     They are left out only beside a stronger effect; one far beyond the threshold needs no confirmation.
     """
@@ -341,7 +341,7 @@ def _tie_names(candidates: Candidates, found: FoundEffect) -> tuple[str, ...]:
 
 
 def _odds(candidates: Candidates, found: FoundEffect) -> tuple[FamilyOdds, ...]:
-    """Return the odds of the names for an effect, unnamed forms as one; below 1 % only those of ties."""
+    """Return the odds of the names for an effect; all unnamed forms count as one, below 1 % only ties count."""
     whole: dict[str, float] = {}
     for one in found.odds:
         called = name_of(candidates, one.name)
@@ -417,7 +417,7 @@ class Rival:
 
 
 def rivals(diagnosis: Diagnosis) -> tuple[tuple[Rival, ...], ...]:
-    """Return, for each effect, the `LISTED` best families and its own, tied and larger ones; not terms."""
+    """Return the `LISTED` best families for each effect, its own family, its ties and those that include it."""
     naming, candidates = diagnosis.naming, diagnosis.candidates
     if not naming.found:
         return ()

@@ -502,7 +502,7 @@ def left_open(
 
 
 def _next(parts: Sequence[AppliedEffect], variant: Variant) -> int:
-    """Return the number of the next of the `parts` that belongs to the family of `variant`."""
+    """Return the number of a further part of the family of `variant`: 1 more than it has in `parts`."""
     own = (one.effect for one in parts if isinstance(one.effect, InPart))
     return 1 + sum(effect.of == variant.family for effect in own)
 

@@ -143,7 +143,10 @@ def calibrate_record(
 
 @dataclass(frozen=True)
 class _Refitted:
-    """An effect to estimate again: voltages (n, c), V, starting state (`start_of`), forms (None: known)."""
+    """An effect to estimate again: its voltages and those of its starting state (`start_of`), V, (n, c) each.
+
+    `forms` are its possible shapes, None if the shape is known.
+    """
 
     added_v: Floats
     start: Floats

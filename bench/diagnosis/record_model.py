@@ -75,7 +75,7 @@ class Record:
 
     @property
     def several_levels(self) -> bool:
-        """Whether the reference changes enough beside a line in time to determine gain and offset."""
+        """Whether the reference deviates enough from a line in time to determine gain and offset."""
         beside_line = least_squares(self.line, self.reference_v)[1]
         enough = np.ptp(beside_line) > LEVELS * np.abs(self.reference_v).max()
         return bool(enough) and levels_apart(self.reference_v)
@@ -326,7 +326,10 @@ def make_courses(record: Record) -> Candidates:
 
 
 def _shapes(record: Record, effect: Effect) -> list[Shape]:
-    """Return the shapes to search: one parameter on its grid (or beyond, with a unit), others at default."""
+    """Return the shapes to search: one parameter varies on its grid, the others have their defaults.
+
+    If the parameter has a unit, values beyond the grid are searched as well.
+    """
     if effect.name == MOVE:
         time_s = record.conditions.elapsed_s
         return [(("at", float(at)),) for at in (time_s[2:-2] + time_s[1:-3]) / 2.0]
@@ -374,7 +377,7 @@ def start_of(record: Record, effect: Effect, shape: Shape) -> Floats:
 
 
 def fading_record(record: Record, lag_s: float) -> Record:
-    """Return the record with its temperature decaying from one standard deviation, time constant `lag_s`."""
+    """Return the record with a temperature that decays from one standard deviation, with time constant `lag_s`."""
     left = np.exp(-record.time_h * HOUR / lag_s) if lag_s else np.zeros(len(record))
     meter_c = METER_REFERENCE_C + np.std(record.conditions.meter_warmth_k) * left
     return replace(record, conditions=replace(record.conditions, meter_c=meter_c))

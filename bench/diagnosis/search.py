@@ -348,7 +348,7 @@ TOGETHER: Final = FALSE_ALARMS - ALONE
 
 @dataclass(frozen=True)
 class _Run:
-    """A single run with its own system, candidates and noise grid; `rows` (N,) masks it in the joint one."""
+    """A single run with its own system, candidates and noise grid; `rows` (N,) is its mask in the joint system."""
 
     rows: Mask
     linear: LinearSystem
@@ -407,7 +407,10 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether the effect of a single run is likely beside all others, or `naming` lost its form."""
+    """Return whether the effect of a single run is likely beside all others.
+
+    True also if `naming` no longer has the effect in this form.
+    """
     if one.variant not in [found.variant for found in naming.found]:
         return True
     others = [i for found in naming.found if found.variant != one.variant for i in found.variant.columns]

@@ -161,7 +161,7 @@ class OfUnit:
 def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
     """Return the drift of a table's only unit.
 
-    Raises `CalibrationError` for a table of several units, and as `history_drift` does.
+    Raises `CalibrationError` for a table of several units, and the errors of `history_drift`.
     """
     units, benches = (sorted(set(labels.tolist())) for labels in (measured.unit, measured.bench))
     if len(units) > 1:

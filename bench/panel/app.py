@@ -348,13 +348,13 @@ def _listening(settings: Settings) -> socket.socket:
 
 
 def _panel(what: str, runs: Path) -> str:
-    """Return a command on the panel of a folder of runs, as a shell takes it."""
+    """Return the command `bench panel` with the words `what`, for a folder of runs, as typed at a shell."""
     is_default = runs.absolute() == runs_folder(None).absolute()
     return " ".join(filter(None, ["bench panel", what, "" if is_default else f"--runs {as_typed(runs)}"]))
 
 
 def _new_token(access: Access, runs: Path) -> str:
-    """Return the command that makes a token: with a register of persons, tokens are made there."""
+    """Return the command that makes a token: of `bench persons` if there is a register of persons."""
     if access.persons is not None:
         return "bench persons change NAME --token"
     return _panel("token NAME --role operator", runs)
@@ -388,7 +388,7 @@ def link_of(runs: Path, name: str = "", laboratory: Path | None = None) -> str:
 def open_panel(runs: Path, after: str = "/", name: str = "", laboratory: Path | None = None) -> str:
     """Start a panel if none serves the folder; return a one-time link as `new_link` does.
 
-    Raises `RecordError` if the panel does not start, and as `new_link`.
+    Raises `RecordError` if the panel does not start, and the errors of `new_link`.
     """
     if not is_serving(runs):
         begin_panel(runs, laboratory=laboratory)

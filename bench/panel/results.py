@@ -452,7 +452,10 @@ def _row(name: str, difference: float, expanded: float, unit: str) -> str:
 
 
 def previous_calibration(run: Run, runs: RunsFolder) -> Run | None:
-    """Return the unit's last calibrated run before `run`, real or simulated as `run` is; None if none."""
+    """Return the unit's latest calibrated run before `run`; None if there is none.
+
+    A simulated run is compared with simulated runs only, a real run with real runs.
+    """
     mine = _identity(run)
     if mine is None:
         return None

@@ -65,7 +65,7 @@ def edited_text(
     """Return a YAML text with the `values` of its fields; if no data change, the text does not change either.
 
     An empty field removes its key. First, `arrange(tree, before)` adds and removes sections; `before` are the
-    values in `text`. Raises as `changed_text`.
+    values in `text`. Raises the errors of `changed_text`.
     """
     yaml = _yaml()
     tree = yaml.load(text)
@@ -86,7 +86,7 @@ def edited_text(
 def with_certificate(text: str, instrument: str, section: str) -> str:
     """Return a bench file's text with the certificate `section` (YAML) at an instrument; comments stay.
 
-    Raises `KeyError` for an instrument that the text does not list, and as `changed_text`.
+    Raises `KeyError` for an instrument that the text does not list, and the errors of `changed_text`.
     """
 
     def arrange(tree: Any, before: Values) -> None:

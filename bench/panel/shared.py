@@ -226,7 +226,7 @@ SECTIONS: Final = frozenset({"/bench", "/procedures", "/queue", "/start"})
 
 
 def _back(request: Request) -> str:
-    """Return the page to go back to after a refusal; "" for none but the list of runs."""
+    """Return the address of the page to which a refusal links back; "" for the list of runs alone."""
     path, name = request.scope["path"], request.path_params.get("name", "")
     section = f"/{path.removeprefix('/').partition('/')[0]}"  # a request may name a path without a slash
     if section == "/runs" and person_of(request) is not None and panel_of(request).runs.holds(name):

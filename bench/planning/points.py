@@ -93,7 +93,7 @@ class Sites:
 
 
 def _kinds(model: ForwardModel, mounts: Sequence[Mounting], angle_rad: Floats) -> list[tuple[float, ...]]:
-    """Return a key for each mounting, equal for equivalent mountings; asymmetric angles leave none equivalent."""
+    """Return a key for each mounting, equal for equivalent mountings; with asymmetric angles, none are."""
     turned = np.exp(1j * np.concatenate([angle_rad, -angle_rad, np.pi - angle_rad]))
     if len(np.unique(np.round(turned, 6))) > len(angle_rad):
         return [(float(i),) for i in range(len(mounts))]

@@ -308,7 +308,7 @@ def _signal_suffix(path: Path, header: list[str]) -> str:
 
 
 def _on_units(header: Iterable[str]) -> str:
-    """Return what to do about a signal in a unit that readings files do not take; "" if there is none."""
+    """Return what to do about a signal in a unit that readings files do not accept; "" if there is none."""
     found = next(filter(None, map(_OTHER_UNIT.fullmatch, header)), None)
     if found is None:
         return ""

@@ -229,7 +229,7 @@ def found_result(found: Diagnosis) -> FoundResult:
 def result_of(full: FullDiagnosis | MistakesAlone, files: Files, **made_from: Any) -> DiagnoseResult:
     """Return the result of a diagnosis; `files` are the files that were written.
 
-    `made_from` has bench and corrections; what else it has, the diagnosis states itself.
+    Of `made_from`, only `bench` and `corrections` are used; all else is from the diagnosis.
     """
     of_source = {name: made_from[name] for name in ("bench", "corrections")}
     if isinstance(full, MistakesAlone):

@@ -341,7 +341,7 @@ def surer_in_words(proposal: Proposal | None) -> str:
 def warnings_in_words(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield the warnings that follow the verdict: each kind of unusual noise, and readings far from the model.
 
-    Of unusual noise it is the part before the colon, already in the current language.
+    A warning on noise is the sentence up to its colon, already in the current language.
     """
     yield from (translated(kind.words).partition(":")[0] for kind in diagnosis.noise_kinds)
     if diagnosis.far:

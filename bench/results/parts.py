@@ -267,7 +267,7 @@ def intrinsic_part(own: Intrinsic) -> IntrinsicPart:
 
 
 def joint_part(u: Floats, dof: Floats) -> JointPart:
-    """Return the part on the joint coverage factor that `joint_of` returns."""
+    """Return the joint coverage factor (see `joint_of`) as a part of the result."""
     found = joint_of(u, dof)
     return JointPart.from_object(found, dof=found.dof if np.isfinite(found.dof) else None)
 

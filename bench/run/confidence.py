@@ -53,7 +53,7 @@ class Confidence:
         self._borne.clear()
 
     def went_on(self, sighting: Sighting) -> None:
-        """Accept what stopped the run; no stop until a reading fits, is redone or follows a remount.
+        """Accept the cause of the stop; stop no more until a reading fits, is redone or follows a remount.
 
         Lasting mistakes stay accepted. An unexplained stop is not repeated until a reading is redone or follows a
         remount.

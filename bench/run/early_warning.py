@@ -159,7 +159,7 @@ class EarlyWarning:
             self._go_through_again()
 
     def went_on(self) -> None:
-        """Note that a person continued despite the last sign that stopped the run."""
+        """Note that a person continued the run after the last early sign had stopped it."""
         if self._history:
             self._confidence.went_on(self._history[-1])
 

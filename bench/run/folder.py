@@ -72,7 +72,10 @@ class Run:
             ) from error
 
     def _remedy(self) -> str:
-        """Return how the plan can be read again: the file may be intact, and of another version of the program."""
+        """Return what to do about a plan that cannot be read.
+
+        If the file is intact, another version of the program wrote it, and can read it; otherwise a copy is needed.
+        """
         try:
             intact = sha256(read_regular(self.folder / PLAN)) == self.manifest["files"][PLAN]
             version = self.manifest["versions"]["triaxial-bench"]
@@ -119,7 +122,7 @@ class Run:
             return True
 
     def results_due(self, until: ExitStack | None = None) -> None:
-        """Note that results are missing; until `until` closes, a lock on this note says that they are coming."""
+        """Note that results are missing; a lock on this note, until `until` closes, shows that they are coming."""
         write_whole(self.folder / RESULTS, to_text({"made": None}))
         if until is not None:
             until.enter_context(locked(self.folder / RESULTS))

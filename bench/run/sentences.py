@@ -185,9 +185,9 @@ def size_in_words(u: float, unit: str) -> str:
 
 
 def _per_minute(now: Mapping[str, Any] | None, coming: Mapping[str, Any]) -> str | None:
-    """Return the expected decrease of u per minute, as text, from the state `now` over the `coming` points.
+    """Return, as text, the expected decrease of u per minute from the state `now` over the `coming` points.
 
-    Return None if no decrease is expected, or if the goal changes.
+    Return None if no decrease is expected, or if another goal will then be furthest from being reached.
     """
     then, takes_s = coming["then"], float(coming["takes_s"])
     if now is None or now["goal"] != then["goal"] or takes_s <= 0 or now["u"] <= then["u"]:

@@ -218,7 +218,10 @@ _NONE_NAMED: Final = message("the shipped one, because no file was named")
 
 @dataclass(frozen=True)
 class BenchTaken:
-    """The bench file of an analysis; `why` it was chosen, and (`chosen`) why its run was begun with it."""
+    """The bench file of an analysis; `why` is the reason for this choice.
+
+    `chosen` is the reason why the run was begun with this file.
+    """
 
     file: BenchFile
     where: str

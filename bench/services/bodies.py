@@ -126,7 +126,10 @@ def place_together(sources: Sequence[Source]) -> Source:
 
 
 def _blocks(sources: list[Source], one_block: bool | None) -> list[int | None]:
-    """Number each source's block by `one_block`, else name and scale factors; None if all agree."""
+    """Return a block number for each source, by `one_block` or, if that is None, by name and scale factors.
+
+    All numbers are None if names and scale factors do not differ.
+    """
     if one_block is not None:
         return [0 if one_block else number for number in range(len(sources))]
     sheets = [tuple(source.bench.unit_under_test.scale_factors.values) for source in sources]
@@ -291,7 +294,7 @@ class _Copy:
         ]
 
     def _move(self, mount: tuple[int, str], actual: str, told: Sequence[_Named]) -> Mistake:
-        """Move a mounting's rows to installation `actual`; they join the mounting before if that is in it."""
+        """Move a mounting's rows to installation `actual`; they join the previous mounting if it is there."""
         rows = self._rows(mount)
         first = int(np.flatnonzero(rows)[0])
         before = self.mount(first - 1) if first else (0, "")

@@ -393,7 +393,7 @@ def calibration_of(
 
 
 def result_of(source: Source) -> CalibrationResult | RecordCalibrationResult:
-    """Calibrate a block or, for a record at a known input, its meters. Raises as `calibration_of`."""
+    """Calibrate a block or, for a record at a known input, its meters. Raises the errors of `calibration_of`."""
     if not is_record(source.readings):
         return calibration_of(source)
     from bench.services.stability import record_calibration_of  # takes long to import
@@ -402,7 +402,7 @@ def result_of(source: Source) -> CalibrationResult | RecordCalibrationResult:
 
 
 def calibrated(request: Calibrate, source: Source) -> CalibrationResult | RecordCalibrationResult:
-    """Return the calibration of a source with the options of a request. Raises as `calibration_of`."""
+    """Return the calibration of a source with the options of a request. Raises the errors of `calibration_of`."""
     if is_record(source.readings):
         if request.otherwise:
             raise Refused(
@@ -469,7 +469,7 @@ def verification_of(
 
 
 def verified(request: Verify, source: Source) -> VerificationResult:
-    """Return the verification of a source with the options of a request. Raises as `verification_of`."""
+    """Return the verification of a source with the options of a request. Raises the errors of `verification_of`."""
     from bench.services.verification import VerdictOptions
 
     given = request.coefficients

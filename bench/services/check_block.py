@@ -504,7 +504,7 @@ class CheckBefore:
 def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
     """Judge a bench by the last run of its check block, as of `now`.
 
-    Raises `Refused` for a bench file without section check_block, and as `chart_of`.
+    Raises `Refused` for a bench file without section check_block, and the errors of `chart_of`.
     """
     section = bench.check_block
     if section is None:
@@ -555,7 +555,8 @@ def checked_before(
     """Check the bench before a run begins; note the result in the run's manifest, and return it in sentences.
 
     `despite` is the operator's reason to begin whatever the check says. Before a run of the check block itself,
-    nothing is checked. Raises `Refused` if the rule of the bench file forbids the run, and as `check_before`.
+    nothing is checked. Raises `Refused` if the rule of the bench file forbids the run, and the errors of
+    `check_before`.
     """
     if bench.check_block is None:
         raise Refused(

@@ -217,7 +217,7 @@ def block_result(data: Any, where: str) -> BlockResult:
 
 
 def _signs(data: Any) -> str:
-    """Return whose signs the scale factors of free positions alone have; "" for readings with orientation."""
+    """Return the source of the scale factors' signs for free positions alone; "" for readings with orientation."""
     stated = data.get("by_convention")
     if isinstance(stated, Mapping):
         return _text(stated.get("signs")) or "positive"

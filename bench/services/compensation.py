@@ -86,7 +86,10 @@ def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> Temperat
 
 @dataclass(frozen=True)
 class Compensation:
-    """Coefficients over temperature from sources `names` (first: `source`), with table and verifications."""
+    """Coefficients over temperature: `model` of the sources `names`, with compensation `table` and verifications.
+
+    `source` is the first source. Each of the `checks` is a temperature (°C) and the verification at it.
+    """
 
     source: Source
     names: tuple[str, ...]

@@ -367,7 +367,7 @@ def _converted(request: asked.ImportReadings, content: bytes) -> ConvertedLog:
 
 
 def preview_log(request: asked.ImportReadings) -> ConvertedLog:
-    """Return a log of another program converted as for an import. Raises as `import_readings`."""
+    """Return a log of another program converted as for an import. Raises the errors of `import_readings`."""
     if request.columns is None:
         raise Refused(
             "--preview shows how a log is read; name the mapping of its columns with --columns FILE"

@@ -403,7 +403,7 @@ class RecordDiagnosisResult(DiagnosisAlone):
     view = "bench.results.known_input"
 
     def write_model(self, path: str | Path, *, accept_first: bool = False) -> Path:
-        """Write the model file with the effects found; return its path. Raises as `write_models`."""
+        """Write the model file with the effects found; return its path. Raises the errors of `write_models`."""
         return self.write_models(path, accept_first=accept_first)[0]
 
 

@@ -242,7 +242,10 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
 
 
 def _certified(source: Source) -> Source:
-    """Return a source corrected by certificates alone; its model has only effects of a requested file."""
+    """Return a source corrected by certificates alone, without effects that were found automatically.
+
+    The model has effects only if the request names a model file.
+    """
     plain = source.model if source.request.model else ForwardModel(source.bench.installation_models())
     return replace(source.as_certified(), model=plain)
 

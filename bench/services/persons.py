@@ -172,7 +172,10 @@ def operator_of(name: str, laboratory: Path | None, *, needed: bool) -> tuple[st
 
 
 def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuthor:
-    """Return who acts at `where`: a person of the register, else this computer's user. Raises as `operator_of`."""
+    """Return who acts at `where`: a person of the register, else this computer's user.
+
+    Raises the errors of `operator_of`.
+    """""
     chosen, person = operator_of(name, laboratory, needed=False)
     user = at_the_shell(where)
     if not chosen:

@@ -55,7 +55,10 @@ def run_summary(run: Run, digest_of: Callable[[Run], Digest] = Digest.of) -> Run
 
 
 def show_run(run: Run, request: ShowRun) -> ShowResult:
-    """Return the content of a run and, if requested, the evidence for its record. Raises as `proof_of`."""
+    """Return the content of a run and, if requested, the evidence for its record.
+
+    Raises the errors of `proof_of`.
+    """
     told: list[str] = []
     problems = list(run.history.problems)
     if request.proved and not problems:

@@ -344,7 +344,7 @@ def errors(count: int) -> tuple[Floats, Floats, Floats]:
 
 
 def counted(context: Context) -> tuple[Floats, Floats, Floats]:
-    """Return `errors` for the number of files that the validation uses; the result is cached."""
+    """Return `errors(n)` for the number n of files that the validation simulates; the result is cached."""
     if "errors" not in context.shared:
         context.shared["errors"] = errors(QUICK_FILES if context.quick else FILES)
     found: tuple[Floats, Floats, Floats] = context.shared["errors"]

@@ -124,7 +124,10 @@ class ManualSupply(ByHand):
             self._refuse_other_voltage(output, key)
 
     def switch_all_off(self) -> str:
-        """Ask nobody; return what a person must do, or an empty string if no output can be on."""
+        """Return the task of switching outputs off, for a person; an empty string if no output can be on.
+
+        No question is asked.
+        """
         on = [output for output, is_on in self._on.items() if is_on]
         return message(f"switch its output {' and '.join(on)} off by hand") if on else ""
 

@@ -471,13 +471,16 @@ class ProvedSession:
     def ask(
         self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
     ) -> str:
-        """Send a query that may be repeated and return its reply. Raises as `MessageSession.query`."""
+        """Send a query that may be repeated and return its reply. Raises the errors of `MessageSession.query`."""
         return self.repeating(lambda: self.command(command, pattern, expected, timeout_s, lines))
 
     def command(
         self, command: str, pattern: str, expected: str, timeout_s: float | None = None, lines: int = 1
     ) -> str:
-        """Send a command that has a reply, once only, and return the reply. Raises as `MessageSession.query`."""
+        """Send a command that has a reply, once only, and return the reply.
+
+        Raises the errors of `MessageSession.query`.
+        """
         self.ensure_proved()
         self._leave_alone()
         return self._session.query(command, timeout_s, pattern, expected, lines)
@@ -487,7 +490,7 @@ class ProvedSession:
         return self._session.query(command, pattern=pattern, expected=expected)
 
     def write(self, command: str) -> None:
-        """Send a command that has no reply, once only. Raises as `MessageSession.write`."""
+        """Send a command that has no reply, once only. Raises the errors of `MessageSession.write`."""
         self.ensure_proved()
         self._leave_alone()
         self._session.write(command)

@@ -141,7 +141,7 @@ def _on_roll(roll: Floats, covariance: Floats, calibration: Calibration) -> tupl
 
 
 def _only_turns(calibration: Calibration) -> bool:
-    """Return whether each change that no reading shows is a turn of the whole block: K K^T and U0 stay."""
+    """Return whether every change that no reading shows is a rotation of the block, which leaves K K^T and U0."""
     length = np.linalg.norm(calibration.block.K, axis=1)
     sheared = [
         (change[:9].reshape(3, 3) @ calibration.block.K.T) / np.outer(length, length)
@@ -325,7 +325,10 @@ def _shared_at(
     block: Block,
     by_signal: Floats,
 ) -> Floats:
-    """Return the covariance (v, v) of |a| by shared errors at the verification rows, which have their own."""
+    """Return the covariance (v, v), local g², of |a| at the verification rows due to shared errors.
+
+    The kinds of error are those that the fitted readings share; these rows have errors of their own.
+    """
     at = readings.installation == VERIFICATION
     output = readings.signal[rows] - block.U0
     return shared_later(shared, noise, readings.conditions().select(at), output, by_signal)

@@ -154,7 +154,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
 
 
 def _why_not_valid(path: Path, root: Node) -> tuple[str, ...]:
-    """Return a sentence on a certificate that the register in its folder has as revoked or superseded."""
+    """Return a sentence if the register beside a certificate has it as revoked or superseded; else ()."""
     place, number = path.absolute().parent, said(root, f"{_CORE}/dcc:uniqueIdentifier")
     status = Register(place).read_lines().standings.get(number) if (place / LINES).is_file() else None
     if status is None or status.state == ISSUED:

@@ -95,7 +95,7 @@ class InstrumentsSection(FileModel):
         return (*at_block, *self.around.values())
 
     def beside(self, thermometer: ThermometerForm) -> VoltmeterForm | ThermometerForm | None:
-        """The first voltmeter or thermometer that shares the resource of a later `thermometer`, or None."""
+        """The first voltmeter or thermometer before `thermometer` with the same resource; None without one."""
         resource = getattr(thermometer, "resource", None)
         listed: tuple[VoltmeterForm | ThermometerForm, ...] = (*self.voltmeters, *self.thermometers)
         before = takewhile(lambda one: one is not thermometer, listed)

@@ -254,7 +254,7 @@ class GrossSearch:
     def _log_evidence(
         self, table: OrientedRows, supposed: Sequence[Reinterpretation], like: OrientedRows, kept: Mask
     ) -> Floats:
-        """Return ln of the density (H,) of the `kept` signals under each supposition, unknowns integrated.
+        """Return ln of the density (H,) of the `kept` signals for each supposition, integrated over the unknowns.
 
         Priors are those for the table `like`. A reading without signals has a density of 1 per g.
         """

@@ -99,7 +99,7 @@ class ProjectedReadings:
 
     @property
     def pulls(self) -> Floats:
-        """For each reading (n, 3), `blocks` times the least-squares estimate of its errors."""
+        """The information matrix (`blocks`) times the least-squares estimate of each reading's errors, (n, 3)."""
         return np.asarray(np.einsum("nji,nj->ni", self._ways, self.pull.reshape(-1, 3)))
 
 

@@ -200,7 +200,10 @@ class Reinterpretation:
         return corrected.select(~np.isin(np.arange(len(readings)), table.rows[self.source < 0]))
 
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
-        """Return verification and free rows in the same wrong unit: the factor makes their signals usual."""
+        """Return the other rows in the same wrong unit: the factor brings their signals close to those of `table`.
+
+        These are verification rows and free positions, if the supposition is of one part of the run.
+        """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
         usual = float(np.median(np.linalg.norm(self.signal(table), axis=1)))
@@ -364,7 +367,7 @@ def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation
 
 
 def head_was_off(off_deg: float, where: str = "", also: str = "") -> str:
-    """Return a sentence that the head stood `off_deg` from its recorded angles `where`, and what the copy has.
+    """Return a sentence: how far (`off_deg`) and `where` the head was off, and that the copy is corrected.
 
     `also` says in brackets what would look the same.
     """

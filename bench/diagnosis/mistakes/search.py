@@ -193,9 +193,10 @@ class _Search:
         return table, TermSearch(problem, table.signal, floor, fit)
 
     def with_misfits(self, found: Sequence[Mistake], copies: Sequence[Readings]) -> tuple[Mistake, ...]:
-        """Return the mistakes with the misfits before and after each; `copies` begin with the record itself.
+        """Return the mistakes with the misfits before and after the correction of each.
 
-        A mistake at verification points changes no misfit of the oriented readings, and gets none.
+        `copies` are the record, then the copy after each correction. A mistake at verification points does not
+        change the misfit of the oriented readings, and gets no misfits.
         """
         if not found:
             return ()
@@ -213,7 +214,7 @@ class _Search:
 
 
 def _instead(other: Reinterpretation, supposition: Reinterpretation) -> str:
-    """Return in words in what another supposition of the same name differs."""
+    """Return in words how another supposition with the same name differs from `supposition`."""
     place = str(other.scope).removeprefix("in ")
     if other.channels != supposition.channels:
         return message(f"the same of {', '.join(other.channels)} in {place}")

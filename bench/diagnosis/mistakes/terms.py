@@ -263,7 +263,10 @@ class _Pass:
         return cls(table, rows, max(RATIOS, key=lambda ratio: table.seen(ratio, [free]).log_evidence))
 
     def seen(self, columns: Floats, beyond: Floats | float = 0.0) -> ProjectedReadings:
-        """Return the readings with changes of the pass, `columns` (n, 3, p), and signals `beyond` in the model."""
+        """Return the readings of `table` with changes of the pass, `columns` (n, 3, p), projected out.
+
+        The known signals `beyond` (n, 3) in the pass are subtracted first.
+        """
         table = replace(self.table, left=self.table.left - beyond * self.rows[:, None])
         return table.seen(self.ratio, more=[columns * self.rows[:, None, None]])
 

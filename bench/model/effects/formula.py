@@ -401,9 +401,9 @@ class FormulaEffect(Effect):
         return added * seen.scale if self.stage is Stage.BLOCK_OUTPUT else added
 
     def _finite(self, added: Floats, away: Mask) -> Floats:
-        """Return `added` with 0 for non-finite values in the readings `away`, which have unknown variables.
+        """Return `added`, with 0 for each value that is not finite in the readings of the mask `away` (n,).
 
-        Raises `ExpressionError` for a non-finite value in any other reading.
+        These readings lack values of variables. Raises `ExpressionError` for such a value in any other reading.
         """
         bad = ~np.isfinite(added)
         if not bad.any():

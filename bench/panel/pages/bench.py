@@ -269,7 +269,7 @@ def _assigned(values: Mapping[str, str]) -> dict[str, tuple[str, str]]:
 
 
 def _place_of(target: str, values: dict[str, str]) -> str:
-    """Return the path of `target`, which gets a found resource; change the number of voltmeters if it must."""
+    """Return the path of `target`, which gets a found resource; change the number of voltmeters if necessary."""
     if target == "scanner":
         values[METERS] = "1"
     elif target not in ROLES and number_of_meters(values) == 1:

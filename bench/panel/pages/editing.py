@@ -63,7 +63,7 @@ class EditedFile(ABC):
 
     @abstractmethod
     def _may_be_written(self, path: Path) -> bool:
-        """Return whether the text has no mistakes; the refusal otherwise says so."""
+        """Return whether the text has no mistakes; if it has any, set the page's refusal."""
 
     @property
     @abstractmethod

@@ -232,7 +232,7 @@ def _who(person: Person) -> WishAuthor:
 
 
 async def _doing(work: Callable[..., Told], *given: object) -> Told:
-    """Return the result of disk `work`, done in a thread of its own. Turns `OSError` into `Refusal`."""
+    """Return the result of `work` that uses the disk, done in a separate thread. Turns `OSError` into `Refusal`."""
     try:
         return await run_in_threadpool(work, *given)
     except OSError as error:

@@ -105,7 +105,7 @@ _COMPUTING: Final = threading.Lock()
 
 
 def _fitted(run: Run) -> Fitted:
-    """Return the residuals of a run's calibration. Raises as `load_sources` and `calibration_of` do."""
+    """Return the residuals of a run's calibration. Raises the errors of `load_sources` and `calibration_of`."""
     stamps = []
     for name in (EVENTS, BENCH, CALIBRATE_FILE):
         found = (run.folder / name).stat()

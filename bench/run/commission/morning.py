@@ -193,9 +193,10 @@ def _connected(
 
 
 def _meanwhile(evening: CommissioningSession, jobs: list[_Job], ask: Callable[[], object]) -> None:
-    """Ask; do the first jobs while the person is busy, and remove them. What they tell is shown afterwards.
+    """Ask the person; meanwhile carry out the first jobs that are due, and remove them from `jobs`.
 
-    A head with an encoder is watched instead: a job would make the program blind to its approach.
+    Lines that the jobs tell are shown afterwards. If the head has an encoder, no job is carried out: the program
+    would not see the head's approach.
     """
     if not isinstance(evening.instruments.head, _TurnedByPerson):
         ask()
