@@ -67,7 +67,7 @@ def parse_angle(text: str) -> float:
 def typed_angle(text: str, target_rad: float) -> float:
     """Return a typed angle in rad; a text such as `+5"` or `-12″` states the deviation from `target_rad`.
 
-    Raises `ValueError` as `parse_angle` does.
+    Raises the `ValueError` of `parse_angle`.
     """
     stripped = text.strip().replace("−", "-").replace("''", "″").replace("′′", "″")
     match = _DEVIATION.fullmatch(stripped)

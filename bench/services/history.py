@@ -224,7 +224,10 @@ learn = python_call(Learn, learning_of, "learn")
 
 
 def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime.date:
-    """Return the last valid day of a learned file: `expires`, or as many days after `made`. Raises `Refused`."""
+    """Return the last valid day of a learned file: the date `expires`, or so many days after `made`.
+
+    Raises `Refused`.
+    """
     if expires is None:
         return made + datetime.timedelta(days=USUAL_DAYS)
     if isinstance(expires, str):

@@ -175,7 +175,7 @@ def acting_at(where: str, name: str, laboratory: Path | None = None) -> WishAuth
     """Return who acts at `where`: a person of the register, else this computer's user.
 
     Raises the errors of `operator_of`.
-    """""
+    """
     chosen, person = operator_of(name, laboratory, needed=False)
     user = at_the_shell(where)
     if not chosen:

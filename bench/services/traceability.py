@@ -138,7 +138,10 @@ def trace(
 
 
 def _between_rows(by: Corrections, readings: Readings) -> Iterator[float]:
-    """Yield each angle of the readings, degrees, that is not near a row of a head's table that varies."""
+    """Yield each angle of the readings, degrees, that is far from every row of the head's correction table.
+
+    Yield none if all corrections in the table are equal.
+    """
     if len({correction for _, correction in by.head}) < 2:
         return
     rows_deg = np.degrees([angle for angle, _ in by.head])

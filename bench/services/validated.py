@@ -207,7 +207,7 @@ def refuse_unvalidated_run(bench: BenchFile, path: Path, laboratory: Path | None
 
 
 def refuse_unvalidated_resumption(run: Run) -> None:
-    """Raise as `refuse_unvalidated_run` if a real run would be continued by a program that is not validated."""
+    """Raise the errors of `refuse_unvalidated_run` for a real run that is to be resumed."""
     if not run.simulated:
         copy = run.folder / BENCH
         refuse_unvalidated_run(load_bench(copy), copy)

@@ -311,7 +311,8 @@ def overruled_in(run: Run | None) -> tuple[str, ...]:
 def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[str, ...]]:
     """Return the covariance of |a| at the points by coefficients of an earlier day, and a sentence on it.
 
-    Errors of the same meters cancel, but the less, the longer ago the calibration, because meters drift.
+    Errors of the same meters cancel. The longer ago the calibration was, the less they cancel, because meters
+    drift.
     """
     known = taken.covariance if taken.same_meters is None else taken.same_meters
     known_c = np.isfinite(source.readings.verification().temperature_c).any()
@@ -381,7 +382,10 @@ def unsuitable(taken: Coefficients, name: str, source: Source) -> Iterator[str]:
 
 
 def _same_readings(taken: Coefficients, source: Source) -> bool:
-    """Return whether coefficients were fitted to the readings of a source: the same begin or, without one, file."""
+    """Return whether coefficients were fitted to the readings of a source.
+
+    They were if both were begun at the same time or, without a time, if both name the same file.
+    """
     if taken.made_at:
         return taken.made_at == source.made_at
     return Path(taken.joined).resolve() == Path(source.name).resolve()

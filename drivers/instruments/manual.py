@@ -300,7 +300,10 @@ class ManualChamber(ByHand):
         self._set = False
 
     def make_safe(self) -> str:
-        """Ask nobody; return what a person must do, or an empty string if no temperature was set."""
+        """Return the task of making the chamber safe, for a person; an empty string if no temperature was set.
+
+        No question is asked.
+        """
         if not self._set:
             return ""
         if self._safe_c is None:

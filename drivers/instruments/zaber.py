@@ -280,7 +280,7 @@ def _with_flag(flag: str) -> str:
 
 
 def _checked(steps_per_degree: float, travel: Travel) -> float:
-    """Return `steps_per_degree`; raise `ValueError` as `ZaberHead` states."""
+    """Return `steps_per_degree`; raise the `ValueError` that `ZaberHead` describes."""
     if not math.isfinite(steps_per_degree) or steps_per_degree == 0.0:
         raise ValueError(f"steps_per_degree: state a number other than 0, not {steps_per_degree:g}")
     farthest_deg = math.degrees(max(abs(travel.minimum_rad), abs(travel.maximum_rad)))
