@@ -1,7 +1,7 @@
 """The program `bench` from start to end.
 
-Ctrl-C ends the program with one line in place of a traceback. The program goes on if the reader of its output
-has ended. This module handles Ctrl-C before anything heavy is imported.
+Ctrl-C ends the program with one line in place of a traceback. The program continues if the reader of its output has
+ended. This module handles Ctrl-C before anything heavy is imported.
 """
 
 from __future__ import annotations

@@ -225,7 +225,7 @@ def find_mistakes_in_each(
 def _searched_together(readings: Readings, model: ForwardModel) -> Iterator[tuple[Mask, int]]:
     """Yield the mask (n,) of rows that are searched together, and the index of their block.
 
-    Each run that determines the coefficients is by itself; other runs of the block join the first of these, or
+    Each run that determines the coefficients is searched alone; other runs of the block join the first of these, or
     each other if there is none.
     """
     run = readings.run

@@ -38,11 +38,11 @@ class FamilyOdds:
 class FoundEffect:
     """An effect or unnamed family that was found, in the form `variant`.
 
-    `evidence` is ln of the Bayes factor of its family beside all other effects found. `total` is ln of the
-    odds that an effect is missing if the model lacks this one. `size` is the root of the decrease of
-    chi-square. `odds` are the probabilities of the permitted families in its place. The readings do not
-    exclude its `ties`; those in `same` have the same signature. `plainer_than` are families that include it
-    and need more parameters.
+    `evidence` is ln of the Bayes factor of its family, with all other effects found in the model. `total` is ln of
+    the odds that an effect is missing if the model lacks this one. `size` is the root of the decrease of
+    chi-square. `odds` are the probabilities of the permitted families in its place. The readings do not exclude its
+    `ties`; those in `same` have the same signature. `plainer_than` are families that include it and need more
+    parameters.
     """
 
     variant: Variant
@@ -191,7 +191,7 @@ class Scored:
         return max(float(amplitude @ gram @ amplitude), 0.0)
 
     def amplitude(self, variant: Variant) -> tuple[Floats, Floats]:
-        """Return the amplitudes (p,) of a form beside the known columns, and their Gram matrix (p, p).
+        """Return the amplitudes (p,) of a form, with the known columns in the model, and their Gram matrix (p, p).
 
         The amplitudes are in plausible sizes.
         """
@@ -255,7 +255,7 @@ def named_again(
     among: Among | None = None,
     kept: int = 0,
 ) -> Naming:
-    """Return the effects `found` with their odds, each replaced by the one that fits best beside the others.
+    """Return the effects `found` with their odds, each replaced by the one that fits best, given the others.
 
     The first `kept` are not replaced. Only families that `among` permits (None: all) replace an effect.
     """
@@ -303,7 +303,7 @@ def _re_examine(
     among: Among | None,
     kept: int,
 ) -> list[FoundEffect]:
-    """Replace effects after the first `kept` by any that fit better beside all others."""
+    """Replace effects after the first `kept` by any that fit better, given all others."""
     for _ in range(2):
         changed = False
         for i in range(kept, len(found)):

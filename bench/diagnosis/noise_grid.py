@@ -209,8 +209,8 @@ def make_whitener(linear: LinearSystem, sigma: float, setting_rad: float) -> Whi
 def _wide(linear: LinearSystem) -> Mask:
     """Return the mask (q,) of `random` columns that act in more rows than a run has, or than `FEW` of all.
 
-    They are fitted: as a covariance, each would join all its rows in a dense block. Both give the same. In a single
-    run, few columns are all fitted.
+    They are fitted: as a covariance, each would join all its rows in a dense block. Both ways give the same result.
+    In a single run, few columns are all fitted.
     """
     runs = len(np.unique(linear.readings.run))
     few = runs == 1 and linear.random.shape[1] <= FEW * len(linear)
@@ -490,7 +490,7 @@ def is_rounded(digit: float, sigma: float) -> bool:
 
 
 def with_rounding(linear: LinearSystem, digit: float, sigma: float) -> LinearSystem:
-    """Return the system with the rounding error that repeats share as a further noise, unless negligible.
+    """Return the system with the rounding error that repeats share as a further noise, unless it is negligible.
 
     `digit` is the step of the last digit; `sigma` is the noise from repeats, at least that of rounding.
     """

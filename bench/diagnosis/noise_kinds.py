@@ -343,7 +343,10 @@ def slow_noise(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> tuple
 
 
 def _of_reference(linear: LinearSystem, white: Whitener, noise: NoiseSize) -> Iterator[NoiseHypothesis]:
-    """Yield 1/f noise in proportion to the signals, of one reference or of one per meter, the likelier."""
+    """Yield the hypothesis of 1/f noise in proportion to the signals.
+
+    The noise is that of one common reference, or of one reference per meter, whichever is more probable.
+    """
     signal = linear.readings.signal[linear.rows.reading, np.minimum(linear.rows.channel, 2)]
     own = [_waves(linear, channel)[:, :HALF_WAVES] * signal[:, None] for channel in range(3)]
     if any(not waves.shape[1] for waves in own):
@@ -525,7 +528,7 @@ def noise_findings(
     `stand_u` has the "setting_error" (rad) and "voltmeter_error" (V) of the bench file. `typical_slope` is in the
     unit of the signal per rad; `digit` is the step of the last digit. With `by_run`, each run has its own noise.
     `slow` (n, 3, k) is one standard deviation of each component of slow noise found, unit of the signal;
-    `by_channel` (3,) is the relative noise of the channels beside it (None: equal).
+    `by_channel` (3,) is the relative size of the other noise by channel (None: equal).
     """
     found = [*_of_readings(noise, readings, stand_u, digit, by_run)]
     if slow is not None and by_run is None:

@@ -169,7 +169,7 @@ def diagnose(
 def _confirmed(prepared: Prepared, naming: Naming) -> tuple[_Estimated, list[FoundEffect]]:
     """Return the joint estimate without weak effects that held-out readings do not confirm, and these effects.
 
-    They are left out only beside a stronger effect; one far beyond the threshold needs no confirmation.
+    They are left out only if a stronger effect was found. An effect far beyond the threshold needs no confirmation.
     """
     estimated = _estimated(prepared, naming)
     if estimated.gap.shrinks is not False or len(naming.found) < 2:
@@ -460,7 +460,7 @@ def shifts_by_ties(diagnosis: Diagnosis) -> Floats:
 
 
 def _beside(diagnosis: Diagnosis, one: FoundEffect) -> tuple[Scored, list[int]]:
-    """Return the scores beside all other effects found, and the columns of these."""
+    """Return the scores with all other effects found in the model, and the columns of these effects."""
     others = [i for f in diagnosis.naming.found if f is not one for i in f.variant.columns]
     return Scored.beside(diagnosis.whitened, diagnosis.data, others), others
 

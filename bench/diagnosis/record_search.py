@@ -132,7 +132,7 @@ class RecordWork:
 
     @property
     def freedom(self) -> int:
-        """The degrees of freedom of each component beside trend and starting states of known effects."""
+        """The degrees of freedom of each component after a fit of trend and starting states of known effects."""
         return len(self.record) - int(self.trials.trend.shape[1])
 
     @property
@@ -236,10 +236,10 @@ class RecordWork:
     def sizes(
         self, courses: Sequence[Variant], number: int = 0, forms: Forms | None = None
     ) -> tuple[Floats, Floats]:
-        """Return the amplitude of the course `number` beside all `courses`, and its covariance, in plausible sizes.
+        """Return the amplitude of the course `number` in a fit of all `courses`, and its covariance.
 
-        Both have an entry for each channel, or one for an amplitude common to all. With `forms`, they are averages
-        over the possible forms of the course, weighted by likelihood.
+        Both are in plausible sizes, and have an entry for each channel, or one for an amplitude common to all. With
+        `forms`, they are averages over the possible forms of the course, weighted by likelihood.
         """
         course = courses[number]
         log, size, variance = (

@@ -407,7 +407,7 @@ def _in_all_and_each(task: SearchTask, prepared: Prepared) -> tuple[Prepared, Na
 
 
 def _stays(whitened: Whitened, data: Data, naming: Naming, one: FoundEffect) -> bool:
-    """Return whether the effect of a single run is likely beside all others.
+    """Return whether the effect of a single run is likely, given all others.
 
     True also if `naming` no longer has the effect in this form.
     """
@@ -428,10 +428,10 @@ def _common(linear: LinearSystem, whitened: Whitened, data: Data, naming: Naming
 def _look_in_each(
     candidates: Candidates, runs: Sequence[_Run], in_all: Floats, limit: Threshold
 ) -> tuple[Candidates, tuple[FoundEffect, ...]]:
-    """Return the candidates with the effects of single runs added, and these effects, beside `in_all` (N,).
+    """Return the candidates with the effects of single runs added, and these effects.
 
-    The threshold of the first run serves for all. As coefficients are free in every run, a different zero is
-    no effect.
+    `in_all` (N,) is the fitted signal of the effects found in all runs, which is subtracted first. The threshold of
+    the first run serves for all. As coefficients are free in every run, a different zero is no effect.
     """
     found: list[FoundEffect] = []
     for run in runs:

@@ -260,7 +260,7 @@ class ReadingDesign:
         return least / 2.0
 
     def visible(self, *forms: Form) -> float:
-        """Return the signal-to-noise ratio of a plausible size in the best of `forms`, beside unknowns."""
+        """Return the signal-to-noise ratio of a plausible size in the best of `forms`, given free unknowns."""
         return float(np.linalg.svd([self.seen(form) for form in forms], compute_uv=False).max())
 
 

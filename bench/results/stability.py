@@ -136,7 +136,7 @@ def print_stability(found: Stability, out: Console) -> None:
             )
             print_notes(out, [misfit])
     if found.advice is None:
-        out.print(f"no reading follows: {found.no_advice}")
+        out.print(f"no settings of a reading to recommend: {found.no_advice}")
         return
     out.print(
         f"a reading that integrates for {found.advice.tau_s:.3g} s at {found.line_frequency_hz:g} Hz "

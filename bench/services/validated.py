@@ -342,7 +342,10 @@ def in_words(late: list[Standing]) -> str:
 
 
 def agree_to_expired(run: Run, record: Record, asker: Asker | None) -> None:
-    """Before a real run with expired certificates and `expired: ask`, ask to go on. A no raises `BenchError`."""
+    """Before a real run with expired certificates and `expired: ask`, ask whether to continue.
+
+    A no raises `BenchError`.
+    """
     if run.simulated or asker is None:
         return
     bench = load_bench(run.folder / BENCH)

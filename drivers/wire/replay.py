@@ -330,7 +330,7 @@ class Replay(Connection):
             return True
         if timeout_s > 0.0:
             self.sleep(timeout_s)
-            self._remark = " (before that a reply was waited for, and the log has neither one nor why)"
+            self._remark = " (before that, a reply was awaited; the log has neither the reply nor a failure)"
         return False
 
     def take(self) -> tuple[bytes, bool]:
@@ -408,7 +408,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 2
     for exchange in made:
         if exchange.answered is None and "?" in (exchange.sent or ""):
-            print(f"note: {given.log}, line {exchange.line}: it has no reply, nor why", file=sys.stderr)
+            print(f"note: {given.log}, line {exchange.line}: no reply or failure follows", file=sys.stderr)
     print(as_pairs(made))
     return 0
 

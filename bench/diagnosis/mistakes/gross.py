@@ -150,7 +150,7 @@ class GrossSearch:
     ) -> GrossMistake | None:
         """Return the likeliest of the mistakes `maps` in the `kept` rows (n,); None if none is likely.
 
-        Rows that are more probably useless are left out, and the mistakes in the other rows are compared
+        Rows whose signals are more probably useless are left out, and the mistakes in the other rows are compared
         again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
@@ -312,7 +312,7 @@ def _positions(table: OrientedRows, supposed: Reinterpretation, kept: Mask) -> t
 def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
     """Return the products of the `kept` rows of `columns` (n, 7), by the number m of repeats.
 
-    Key m has those of the means over m repeats of a `position`, key 0 those of deviations from means.
+    Key m has the products of means over m repeats of a `position`, key 0 those of the deviations from these means.
     """
     columns, repeats = columns[kept], np.bincount(position)
     mean = np.zeros((len(repeats), columns.shape[1]))

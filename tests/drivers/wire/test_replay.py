@@ -430,7 +430,7 @@ def test_in_a_log_without_failures_no_reply_is_silence_and_said_to_be_a_guess(tm
 
     assert deviation(log, "m", ask_twice) == (
         "line 2: '> B?' was expected, but '> A?' was sent "
-        "(before that a reply was waited for, and the log has neither one nor why)"
+        "(before that, a reply was awaited; the log has neither the reply nor a failure)"
     )
 
 
@@ -504,7 +504,7 @@ def test_the_command_says_what_is_missing_and_what_is_wrong(
     log = a_log(tmp_path, f"m ! {REFUSED}", "m > A?", "m > B")
     assert main([str(log), "--instrument", "m"]) == 0
     out, err = capsys.readouterr()
-    assert err == f"note: {log}, line 2: it has no reply, nor why\n"
+    assert err == f"note: {log}, line 2: no reply or failure follows\n"
     failure = "InstrumentLost('m', 'it refused; the connection', 'see whether it is on')"
     assert out == f"[\n    # nothing was sent: {failure}\n    ('A?', None),\n    ('B', None),\n]\n"
     assert main([str(log), "--instrument", "n"]) == 2
