@@ -92,8 +92,8 @@ def take_in(
     """Add to the noise of a fit the variance components that its readings share, and return the new fit.
 
     With a `rounding` error that repeats share, only this component is added. Otherwise the function searches for
-    components, but not if the repeats are too few, the signals are more than `MOST_SIGNALS`, or the noise hardly
-    exceeds its lower limit `floor` (unit of the signal).
+    components. It does not search if there are too few repeats or more than `MOST_SIGNALS` signals, or if the noise
+    hardly exceeds its lower limit `floor` (unit of the signal).
     """
     try:
         if rounding is not None:
@@ -287,7 +287,7 @@ def _labels(*of: Ints) -> Ints:
 
 
 def _visits(conditions: Conditions) -> Ints:
-    """Return the visit number of each reading (n,): in a visit, the head stays where it is during a pass."""
+    """Return the visit number of each reading (n,); in a visit, the head rests at one angle within one pass."""
     same = np.abs(np.diff(conditions.angle_rad)) < AT_REST_RAD
     for column in (conditions.mount, conditions.pass_number):
         same &= column[1:] == column[:-1]

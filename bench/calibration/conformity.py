@@ -163,9 +163,9 @@ class DecisionRule:
     def statements(self, value: Floats, limit: float, known: MeasuredValues) -> list[Statement]:
         """Return the statements on measured values (n,).
 
-        If U exceeds the limit, a value that is beyond the limit by more than the guard band and more than U
-        fails, and any other value is inconclusive. The guard band beyond the limit follows from the
-        measurement alone, without the population.
+        If U exceeds the limit, a value fails if it is beyond the limit by more than the guard band and by more than
+        U. Any other value is then inconclusive. The guard band beyond the limit follows from the measurement alone,
+        without the population.
         """
         if self.guard_band is None:
             guard = _quantile(1.0 - FALSE_ACCEPTANCE, known.dof) * known.u
@@ -471,7 +471,8 @@ def global_risk_together(
     """Return the global risks if a block is accepted only with each of its n values within ±`accepted_up_to` (n,).
 
     The values are of one true value; their errors have the `covariance` (n, n). The errors are drawn, with a fixed
-    seed; for each draw the accepted true values are an interval, whose part of the population is exact.
+    seed; for each draw the accepted true values form an interval, whose fraction of the population is computed
+    exactly.
     """
     errors = _drawn(covariance)
     low, high = np.max(-accepted_up_to - errors, axis=1), np.min(accepted_up_to - errors, axis=1)

@@ -232,7 +232,7 @@ def naming_deviating(problem: Problem, rows: Readings) -> Iterator[None]:
 
 
 def _named(rows: Readings, far: Floats) -> str:
-    """Return in words which rows deviate by `far` (n,) > 1: whole passes, or the most deviating rows, in order."""
+    """Return in words the rows with `far` (n,) above 1: whole passes, then the worst of the other rows in order."""
     turns = list(zip(rows.installation.tolist(), rows.pass_number.tolist(), strict=True))
     of_turn = {turn: np.array([one == turn for one in turns]) for turn in dict.fromkeys(turns)}
     wrong = {

@@ -83,8 +83,8 @@ class KnownNoise:
     def joined(self, own: Noise) -> Noise:
         """Return the noise `own` of a run combined with this prior, or `own` alone.
 
-        `own` stays alone if it contradicts the prior, if it was given, or if it has enough degrees of freedom to do
-        without a prior from the bench file.
+        It is `own` alone if the two contradict each other, or if `own` was given. A prior from the bench file is
+        also left out if `own` has enough degrees of freedom.
         """
         if np.isinf(own.dof) or self.beside(own.dof) is None:
             return own

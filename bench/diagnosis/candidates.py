@@ -562,7 +562,7 @@ def add_free_patterns(collector: Collector, unit: float, visit: Ints) -> None:
     """Add two patterns for each channel: a free value for each angle, and a free value for each pass.
 
     The values have the prior u `unit`, unit of the signal. Installations have separate values, and so have
-    mountings with different numbers `visit` (n,), one for each reading.
+    mountings with different numbers; `visit` (n,) is the number of the mounting of each reading.
     """
     linear, free = collector.linear, collector.add_free
     rows, readings = linear.rows, linear.readings

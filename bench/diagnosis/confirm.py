@@ -185,9 +185,10 @@ def confirm_record(readings: Readings, effects: Sequence[AppliedEffect]) -> Conf
 def compared(
     diagnosis: Diagnosis | FreeDiagnosis, without: LinearSystem, having: LinearSystem
 ) -> Confirmation:
-    """Return the comparison of two fits: `without` the effects of the model, and `having` them.
+    """Return the comparison of two linear systems of the same readings.
 
-    `diagnosis` is of the same readings. Raises `CalibrationError` if these could not show any of the effects.
+    `without` lacks the effects of the model, `having` has them. `diagnosis` is the diagnosis of the readings.
+    Raises `CalibrationError` if the readings could not show any of the effects.
     """
     noise = diagnosis.noise
     after, chi2 = _left(having, noise)

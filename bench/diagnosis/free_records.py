@@ -381,7 +381,10 @@ def _zeros(signal: Floats) -> tuple[Floats, Floats] | None:
 
 
 def _common(change: Floats, full: Floats) -> Floats:
-    """Return the fraction (3,) of the variance of `change` common to all sensors in `full` records."""
+    """Return the fraction (3,) of the variance of `change` that all sensors share.
+
+    `full` (sensors, records) marks the known biases; only records in which those of all sensors are known count.
+    """
     whole = full.all(axis=0)
     sensors = len(change)
     if sensors < 2 or whole.sum() < 2:

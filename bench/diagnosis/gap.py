@@ -246,11 +246,10 @@ def measure_gap(
 ) -> Gap:
     """Hold out each set of rows in turn, search for effects in the others, and predict the rows held out.
 
-    `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings;
-    `setting_rad` is the setting error that the bench file states. `parts` are labels and masks (N,) of the
-    sets. By default, these are passes and moduli (`folds_of`), but thirds (`thirds_of`) if the rows outside
-    a pass, or outside the moduli, do not determine the coefficients, the effects found or their forms, and
-    thirds can be held out.
+    `search` is the function that searches. `whitened`, `naming` and `noise` are of all readings; `setting_rad` is
+    the setting error that the bench file states. `parts` are labels and masks (N,) of the sets. By default, the
+    sets are passes and moduli (`folds_of`). They are thirds (`thirds_of`) instead if the rows outside some set do
+    not determine the coefficients, the effects found or their forms, and all thirds can be held out.
     """
     hold = partial(
         _fold, linear, whitened, noise, threshold.at(OFTEN), setting_rad, search, len(naming.found)

@@ -467,9 +467,9 @@ def own_column(problem: Problem, block: Block, view: View, number: int) -> Float
 def _columns(
     problem: Problem, block: Block, unit: Floats, view: View, label: NDArray[np.str_], unstated: Ints
 ) -> tuple[Floats, Floats]:
-    """Return columns of coefficients (N, 12) and of other unknowns times prior u (N, q).
+    """Return columns (N, 12) of the coefficients, and columns (N, q) of the other unknowns times their prior u.
 
-    A modulus does not depend on the angles of the stand; `unstated` references are unknown.
+    A modulus does not depend on the angles of the stand. The values of the references `unstated` are unknowns, too.
     """
     jacobian = problem.jacobian(block, problem.prior_mean)
     jacobian = np.concatenate([jacobian[:, :, :FIXED], problem.by_prior(jacobian[:, :, FIXED:])], axis=2)

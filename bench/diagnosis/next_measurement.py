@@ -249,10 +249,10 @@ class Proposal:
 def propose(diagnosis: Diagnosis, bench: BenchFile, menu: Sequence[Path] | None = None) -> Proposal | None:
     """Return the procedure to carry out next after a diagnosis; None if none helps.
 
-    For the verdict "confounded", it is the shortest that separates the most pairs of effects between which
-    the readings do not decide, or else the one that increases their divergence D most per minute. For "named"
-    and "agrees", it is the shortest that shows the most hidden effects. For "mistake" and "unknown", nothing
-    is proposed. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
+    For the verdict "confounded", it is the shortest that separates the most pairs of effects between which the
+    readings do not decide. If none separates a pair, it is the one that increases D (`Separation`) most per minute.
+    For "named" and "agrees", it is the shortest that shows the most hidden effects. For "mistake" and "unknown",
+    nothing is proposed. `menu` (default: `MENU`) are files of procedures; a file that includes others is ignored.
     """
     if diagnosis.verdict in {"mistake", "unknown"}:
         return None

@@ -62,10 +62,10 @@ class Span:
 class Whitener:
     """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    Rows with correlated noise form sets. For each number n of rows in a set, `blocks` has the indices (b n,)
-    of the rows of all b such sets, and the matrices (b, n, n) that make their noise independent, whatever the
-    setting error. The factors `root` (N,) then make the variances equal. `fitted` are orthogonal subspaces
-    that are removed: of the coefficients of each accelerometer block, and of other unknowns.
+    Rows with correlated noise form sets. `blocks` has an entry for each number n of rows in a set: the indices (b
+    n,) of the rows of all b such sets, and matrices (b, n, n). These make the noise of the rows independent for any
+    setting error. The factors `root` (N,) then make the variances equal. `fitted` are orthogonal subspaces that are
+    removed: of the coefficients of each accelerometer block, and of other unknowns.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]

@@ -133,7 +133,12 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
 
 
 def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tuple[Floats, Floats]:
-    """Return mean and covariance of amplitudes over the priors; `precision` (m, m) is without a prior."""
+    """Return mean and covariance of amplitudes, averaged over their prior standard deviations.
+
+    `precision` (m, m) and `right` (m,) are the information matrix and the right-hand side of the amplitudes, with
+    all other unknowns eliminated, and without these priors. Each slice in `parts` has amplitudes of one prior
+    standard deviation.
+    """
     log_weights, means, spreads = zip(
         *(
             _of_sizes(precision, right, parts, sizes)
@@ -150,7 +155,8 @@ def _of_any_size(precision: Floats, right: Floats, parts: Sequence[slice]) -> tu
 def _plausible_sizes(precision: Floats, right: Floats, parts: Sequence[slice]) -> list[tuple[int, ...]]:
     """Return, for each part, the indices of the prior standard deviations over which to average.
 
-    Of many parts, only the `MOST_EFFECTS` least certain have all indices, each other its likeliest.
+    If there are many parts, only the `MOST_EFFECTS` least certain ones have all indices; each other one has only
+    its likeliest index.
     """
     every = tuple(range(len(SIZES)))
     if len(parts) <= MOST_EFFECTS:
@@ -422,7 +428,7 @@ def _in_other_channels(
 
 
 def with_other_shapes(linear: LinearSystem, others: tuple[AppliedEffect, ...]) -> LinearSystem:
-    """Return the system with the parts of other shapes, `others`, as further unknowns with their prior u."""
+    """Return the system with further unknowns: the parts of other shapes `others`, with their prior u."""
     columns = [piece.column for piece in pieces(linear, others)]
     return linear.with_random(*columns) if columns else linear
 

@@ -28,8 +28,8 @@ def slow_kernels(time_h: Floats) -> Iterator[Floats]:
     """Yield the covariance (n, n), of mean variance 1, of each kind of slow noise at `time_h` (n,), h.
 
     The kinds are a random walk, flicker noise, and noise of exponential correlation with several time constants.
-    The covariance of flicker noise is the integral of exponential ones over ln of the time constant, from the mean
-    step to the length of the record.
+    The covariance of flicker noise is an integral of exponential covariances over ln of the time constant, from the
+    mean step to the length of the record.
     """
     length = float(time_h[-1])
     apart = np.abs(time_h[:, None] - time_h)

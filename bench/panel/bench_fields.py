@@ -467,8 +467,8 @@ def _form_of(written: Any) -> str:
 def completed(values: Values, before: Values) -> dict[str, str]:
     """Return the typed values, with the values that follow from a new driver or number of voltmeters.
 
-    A driver other than in `before`, the values of the file, gets its example's values in fields that the form
-    did not show yet, except resources. A single voltmeter gets a driver that scans the signals. An added
+    If a driver differs from that in `before`, the values of the file, the form's missing fields get the values of
+    the driver's example, except resources. A single voltmeter gets a driver that scans the signals. An added
     voltmeter gets the driver, range and interface of the first one, and the next signal.
     """
     full = dict(values)

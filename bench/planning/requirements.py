@@ -395,7 +395,7 @@ class Requirement:
         return np.asarray(found[int(np.argmax(found.sum(axis=1)))])
 
     def reached(self, sizes: Mapping[str, float] | None = None) -> float:
-        """Return k u of the target at the worst point; for `sizes` see `by_point`, None is {}."""
+        """Return k u of the target at the worst point; for `sizes` see `by_point` (None: empty)."""
         if not sizes:
             return self.k * math.sqrt(float(self._own.sum()))
         return self.k * math.sqrt(float(self.variances(sizes).sum()))

@@ -227,8 +227,8 @@ def place_in_words(place: ResidualPattern) -> str:
 def smallest_found(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     """Return each effect that such readings can show, with the amplitude that half of all runs would find.
 
-    It is that of the channel, mounting and form that show it best. If an effect has several amplitudes of one
-    unit, as the phases of a wave, it is their norm in the direction that is hardest to find.
+    The channel, mounting and form that show the effect best count. If an effect has several amplitudes of one unit,
+    such as the phases of a wave, the result is their norm in the direction that is hardest to find.
     """
     sizes = []
     for name, factor in diagnosis.detectable.items():

@@ -26,8 +26,8 @@ class PlanProgress:
     unplanned remounting.
 
     `doubt` is the early sign of a misfit that stopped the run, until a person has decided how to continue. Of the
-    readings at which the run stopped so, `in_vain` holds the steps whose point was redone, and `gone_on` the steps
-    after which a person continued. `signs` counts all early signs.
+    readings at which the run stopped for this reason, `in_vain` holds the steps whose point was redone, and
+    `gone_on` the steps after which a person continued. `signs` counts all early signs.
 
     `power` is the last recorded state of the block's supply: "on", "found on", "off", "fault", or empty.
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was

@@ -291,7 +291,7 @@ class Runner:
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
 
     def _soak_again(self, step: int) -> None:
-        """Wait, before `step`, for the temperature of the block as the procedure did when it set the chamber."""
+        """Repeat, before `step`, the waits that followed the last setting of the chamber (`soak_to_repeat`)."""
         for soak in soak_to_repeat(self.plan, self.progress, step):
             self._insist(partial(self._step, soak))
 

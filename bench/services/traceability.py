@@ -266,8 +266,8 @@ def take_learned(
 ) -> LearnedTaken:
     """Return what is used of a learned file for readings made on `day` with signals in `unit`, and notes.
 
-    Nothing is used of a file that has expired, that was learned from these readings (identified by `head` and
-    `hashes`), or that comes from simulated runs if these readings are real (`simulated` False; None: unknown).
+    Nothing is used of a file that has expired, or that was learned from these readings (identified by `head` and
+    `hashes`). Nothing is used of simulated runs if these readings are real (`simulated` is False; None: unknown).
     """
     if file is None:
         return NOTHING_LEARNED

@@ -290,8 +290,8 @@ class Influence:
 class MeasuredReadings:
     """Measured readings on which errors act; `block` converts their signals to forces.
 
-    `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients, None if that
-    calibration used all these readings, or if it is unknown.
+    `calibrated_c` is the block's temperature, °C, at the calibration that gave the coefficients. It is None if it
+    is unknown, or if that calibration used all these readings.
     """
 
     readings: Readings

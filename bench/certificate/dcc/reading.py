@@ -455,10 +455,10 @@ class _Table:
         """Yield a row for each range of a voltmeter: the line through the errors of its points, negated.
 
         The correlation of the errors is not known, so u is the larger of the u for independent errors and the u for
-        a common error. Independent errors give the u of the line. A common error gives the gain the largest u/|V|
-        among points from half of the largest |V| on, and the offset the u of the point nearest zero. The largest
-        deviation from the line is added in quadrature. Points at one voltage give the gain alone; at 0 V they give
-        the offset alone.
+        a common error. For independent errors, it is the u of the fitted line. For a common error, u of the gain is
+        the largest u/|V| of the points with at least half of the largest |V|, and u of the offset is the u of the
+        point nearest zero. The largest deviation from the line is added in quadrature. Points at one voltage give
+        the gain alone; at 0 V they give the offset alone.
         """
         if self.range is None:
             return

@@ -116,7 +116,7 @@ class GrossSearch:
     def _explains(
         self, found: GrossMistake, readings: Readings, table: OrientedRows, maps: Sequence[Reinterpretation]
     ) -> bool:
-        """Return whether no further mistake may be in the corrected copy."""
+        """Return whether the corrected copy cannot contain a further mistake."""
         corrected = OrientedRows.of(found.supposition.correct(readings, table))
         return not self._may_be_wrong(corrected, corrected.every, _enough(maps))
 
@@ -328,7 +328,8 @@ def _products(columns: Floats, kept: Mask, position: Ints) -> Products:
 def _integrated(supposed: Sequence[Products], mean: Floats, u: Floats, errors_g: Floats) -> Floats:
     """Return ln of the evidence (H,) of H suppositions, averaged over the errors of readings and positions.
 
-    Each channel has its own errors, or others would favour a wrong factor on a channel that hardly moves.
+    Each channel has errors of its own: errors common to all would favour a wrong factor on a channel that hardly
+    moves.
     """
     of_reading, of_position = (
         np.repeat(errors_g**2, len(errors_g) + 1),

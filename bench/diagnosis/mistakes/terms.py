@@ -144,7 +144,10 @@ class TermSearch:
 
 @dataclass(frozen=True)
 class _Beside:
-    """The readings at each noise ratio, known columns projected out, and ln of its probability, `weight`."""
+    """The readings at each noise ratio, with the known columns projected out.
+
+    `weight` is ln of the probability of the ratio.
+    """
 
     seen: tuple[ProjectedReadings, ...]
     weight: Floats

@@ -354,8 +354,8 @@ PART: Final = "part"
 class InPart(Effect):
     """A correction for the uncertain shape of the effect `of`: a multiple of the sum of its `parts`.
 
-    The parts are effects with fixed values; a fit may estimate the factor on their sum, the only parameter.
-    Raises `ValueError` if the parts act at different stages.
+    The parts are effects with fixed values; the only parameter is the factor on their sum, which a fit may
+    estimate. Raises `ValueError` if the parts act at different stages.
     """
 
     name: str

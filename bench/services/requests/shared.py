@@ -118,7 +118,7 @@ def runs_to_type(folder: Path) -> str:
 
 
 def devices_to_type() -> str:
-    """Return the options `--devices` of this command, as a command that opens the same bench needs them."""
+    """Return the options `--devices` of this command, for another command that opens the same bench."""
     return "".join(f" --devices {as_typed(folder)}" for folder in devices_given.get())
 
 
