@@ -106,7 +106,7 @@ class SimulatedBench:
     ) -> None:
         """Prepare the instruments and arm the faults.
 
-        Raises `ValueError` for a fault as `arm` does, and for an instrument on a bus that does not use SCPI.
+        Raises the `ValueError` of `arm`, and `ValueError` for an instrument on a bus that does not use SCPI.
         """
         self.world = world
         self._of_adapter = dict(adapter_options or {})

@@ -226,8 +226,8 @@ _ALLOWED_IN_LOCAL: Final = (*_REMOTE_COMMANDS, "SYSTem:ERRor?", "*IDN?", "*CLS",
 class RemoteInstrument(ScpiInstrument):
     """An instrument with local and remote mode; `interface` is the interface that it is set to.
 
-    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands but those for
-    identification, errors and status and the SYSTem:REMote family. An instrument set to "gpib" always refuses
+    Until it receives SYSTem:REMote, an instrument set to "rs232" refuses (+550) all commands except the
+    SYSTem:REMote family and those for identification, errors and status. An instrument set to "gpib" always refuses
     this family (+514). An instrument set to "lan" refuses nothing.
     """
 

@@ -274,7 +274,10 @@ def _beyond(mean: Floats, size: Floats, limit: float, dof: Floats) -> Floats:
 
 
 def _mixture(y: Floats, u: Floats, dof: Floats, population: Population) -> tuple[Floats, Floats]:
-    """Return the normal mixture that replaces Student t: standard deviations and posterior weights, (m, …) each."""
+    """Return the normal mixture that replaces Student t: standard deviations and posterior weights, (m, …) each.
+
+    The weights are those after the measured values `y` (…), whose measurands have the prior `population`.
+    """
     if np.all(np.isinf(dof)):
         return u[None], np.ones((1, *y.shape))
     factors, log_weights = _scales(dof)
@@ -404,7 +407,7 @@ class Population:
     standard_deviation: float
 
     def __post_init__(self) -> None:
-        """Raise `CalibrationError` unless both are finite and the standard deviation is positive."""
+        """Raise `CalibrationError` unless mean and standard deviation are finite and the latter is positive."""
         sizes = (self.mean, self.standard_deviation)
         if not all(map(math.isfinite, sizes)) or self.standard_deviation <= 0.0:
             raise CalibrationError(

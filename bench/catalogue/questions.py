@@ -123,7 +123,7 @@ def _text(*columns: ColumnElement[Any]) -> Build:
 
 
 def _among(table: Table, condition: Callable[[str], Condition]) -> Build:
-    """Return the builder for a key on another table, in which a row of the run must satisfy the condition."""
+    """Return the builder for a key on `table`: at least one row of the run there must satisfy the condition."""
 
     def build(operator: str, value: str) -> Condition:
         wanted = ~_row_of(table) if value == NONE else _row_of(table, condition(value))

@@ -254,7 +254,7 @@ def _calibration(table: CoefficientTable, k: int) -> UnitCalibration:
 
 
 def unit_calibrations(catalogue: Catalogue, unit: str) -> list[UnitCalibration]:
-    """Return the calibrations of one unit that can be compared. Raises `Refused` as `unit_history` does."""
+    """Return the calibrations of one unit that can be compared. Raises the `Refused` of `unit_history`."""
     table, _, _ = compared_of(catalogue, _name_of(catalogue, unit))
     return [_calibration(table, k) for k in range(len(table))]
 

@@ -135,7 +135,10 @@ def _factor(name: str, unit: str | None) -> float:
 
 
 def _summand(name: str, unit: str | None) -> float:
-    """Return the offset that converts a temperature, multiplied by the factor of its `unit`, to °C; else 0."""
+    """Return the summand that completes the conversion of a temperature to °C; 0 for other quantities.
+
+    The temperature is first multiplied by the factor of `unit`.
+    """
     return TEMPERATURES[plain_unit(unit)][1] if unit is not None and name.endswith("_c") else 0.0
 
 

@@ -315,7 +315,7 @@ def _one_start(record: Record, applied: AppliedEffect) -> Floats:
 
 
 def _acting(record: Record, hidden: Sequence[ErrorSource]) -> tuple[ErrorSource, ...]:
-    """Return the sources that act on a record. Raises `CalibrationError` as `calibrate_record` does."""
+    """Return the sources that act on a record. Raises the `CalibrationError` of `calibrate_record`."""
     of_gain = [one for one in hidden if one.kind == METER_GAIN] if record.ramp else []
     covered = {channel for one in of_gain for channel in one.channels}
     if record.ramp and not covered.issuperset(CHANNELS[channel] for channel in record.channels):

@@ -421,7 +421,7 @@ def _of_time(conditions: Conditions) -> Iterator[TimeCourse]:
 
 
 def _frequencies(time_s: Floats) -> range:
-    """Return the numbers of half waves in a run that times, ascending, sample at least twice per period."""
+    """Return the numbers of half waves per run that the ascending times sample at least twice per period."""
     if len(time_s) < 2:
         return range(0)
     fastest = int(np.ptp(time_s) / float(np.median(np.diff(time_s))))

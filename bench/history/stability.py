@@ -69,7 +69,7 @@ def read_static(path: Path) -> StaticRecord:
     """Read a static record: a CSV file with `time_s` and three signal columns of one unit (`ux_v`, …).
 
     Further columns are ignored. Raises `ReadingsError` for missing columns and for cells that are not numbers (the
-    first 20 are listed with line and column), and `CalibrationError` as `from_columns` does.
+    first 20 are listed with line and column), and the `CalibrationError` of `from_columns`.
     """
     header, body = split_table(path, EXAMPLE)
     suffixes = [s for s in UNITS if any(f"u{axis}_{s}" in header for axis in "xyz")]

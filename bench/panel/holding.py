@@ -73,7 +73,7 @@ class Holding:
         }
 
     def after(self, deed: Deed, who: str, to: str, at: str) -> Holding:
-        """Return the state of control after the person `who` did `deed`, to the person `to`, at the time `at`."""
+        """Return the state of control after a deed: what the person `who` did, to whom (`to`), and when (`at`)."""
         match deed:
             case Deed.TAKEN | Deed.FORCED:
                 return self._held_by(who, at, deed)

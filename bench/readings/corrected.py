@@ -45,7 +45,7 @@ class Corrections:
         return any(self.gain) or any(self.offset_v)
 
     def then(self, gain: tuple[float, float, float], offset_v: tuple[float, float, float]) -> Corrections:
-        """Return the corrections that first apply these, then change the signals to U (1 + `gain`) + `offset_v`."""
+        """Return corrections in two steps: first these, then the signals become U (1 + `gain`) + `offset_v`."""
         both = [(1.0 + own) * (1.0 + more) - 1.0 for own, more in zip(self.gain, gain, strict=True)]
         sums = [own * (1.0 + more) + added
                 for own, more, added in zip(self.offset_v, gain, offset_v, strict=True)]  # fmt: skip

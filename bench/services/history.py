@@ -201,7 +201,7 @@ def learning_of(request: Learn, sources: Sequence[Source] | None = None) -> Lear
     `model` is a model file with effects of the bench, found in many runs together; the learned file contains them.
     `by_installation` estimates separate mean angles for each installation. The file is valid until `expires` (a
     year by default). Other parameters are those of `calibrate`; `sources` are the request's, if already read.
-    Raises `Refused` for runs of several benches, `CalibrationError` as `bench.history.learning.learn` does.
+    Raises `Refused` for runs of several benches, the `CalibrationError` of `bench.history.learning.learn`.
     """
     made = utc_now().date()
     until = _until(request.expires, made)

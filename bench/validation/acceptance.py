@@ -78,7 +78,7 @@ def withdraw(request: Validate, number: str) -> ValidationRegisterResult:
         if found is None:
             known = ", ".join(one.number for one in register.standing()[-3:]) or "none"
             raise Refused(
-                f"{number}: no validation of that number holds in {register.folder}; the latest are: {known}"
+                f"{number}: no valid validation in {register.folder} has this number; the latest are: {known}"
             )
         told = {**found.data, "role": person.role, "reason": reason}
         register.append(Entry(WITHDRAWN, number, civil_now(), person.name, told))

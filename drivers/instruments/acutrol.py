@@ -110,7 +110,9 @@ class AcutrolHead(MotorisedHead):
         if not (attempts.make("", rate_0) and attempts.make("", rate_mode)):
             attempts.make("", self._switch_off)
         attempts.refuse_failed(
-            self.name, message("it did not take rate 0 and its axis was commanded off"), SEE_IT_STANDS
+            self.name,
+            message("it did not accept rate 0, so the driver sent the command to switch its axis off"),
+            SEE_IT_STANDS,
         )
 
     # --- messages -----------------------------------------------------------------------------------

@@ -231,7 +231,7 @@ class _Probe(ScpiVoltmeter):
             raise BadReading(
                 self.name,
                 f"channel {self._channel} is open: it sees no {self._sensor.words}",
-                "check the sensor's wiring; with four wires the sense wires are ten channels on",
+                "check the sensor's wiring; with four wires the sense wires are ten channels higher",
             )
 
 

@@ -189,7 +189,7 @@ class NewportHead(MotorisedHead):
             error = self._oldest_error()
             if _code(error) == facts.NO_ERROR:
                 return
-        self._refuse_error(message("reports errors without end, at last"), error)
+        self._refuse_error(message("keeps reporting errors, the last of them"), error)
 
     def _tell(self, command: str, purpose: str) -> None:
         """Send a command to the axis once. Raises `InstrumentRefused` with the `purpose` if an error follows."""

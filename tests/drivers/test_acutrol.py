@@ -53,7 +53,9 @@ def test_a_table_that_refuses_rate_0_is_switched_off_and_not_put_into_its_rate_m
     script = ScriptedSession(OPEN, refused)
     h = head(script)
     h.open()
-    with pytest.raises(InstrumentRefused, match=r"did not take rate 0 .*:demand:rate 1, 000.000 with 'ERR'"):
+    with pytest.raises(
+        InstrumentRefused, match=r"did not accept rate 0, .*:demand:rate 1, 000.000 with 'ERR'"
+    ):
         h.stop()
     assert script.left == []
 

@@ -124,7 +124,7 @@ def test_what_happens_on_the_way_is_said(replies: tuple[str, ...], told: str) ->
 
 def test_errors_without_end_are_said() -> None:
     script = ScriptedSession(OPEN[:1], [("TB?", "20, 5, DATA ACQUISITION IS BUSY")] * 11)
-    with pytest.raises(InstrumentRefused, match="errors without end, at last 20, DATA ACQUISITION IS BUSY"):
+    with pytest.raises(InstrumentRefused, match="errors, the last of them 20, DATA ACQUISITION IS BUSY"):
         head(script).open()
     assert script.left == []
 
