@@ -261,7 +261,10 @@ class Catalogue:
         return f"{self.translate(before)}; {told}" if joint and told != last else None
 
     def _fault(self, text: str) -> str | None:
-        """Return the translation of a fault, an entry, after names of instrument or file; None for other texts."""
+        """Return the translation of `NAME: FAULT`, with one or more names before the fault; None for other texts.
+
+        A name is that of an instrument or a file. The catalogue has an entry for the fault alone.
+        """
         name, colon, rest = text.partition(": ")
         if not colon or " " in name:
             return None

@@ -189,7 +189,7 @@ def levels_of(temperature_c: Floats) -> Ints:
 
 @dataclass(frozen=True)
 class PlateauResult:
-    """The coefficients from one plateau alone, with its temperature and `branch` (+1, -1, 0).
+    """The coefficients from one plateau alone, with its temperature and `branch`, as in `Plateau`.
 
     `value` (12,) and `u` (12,) are None if the readings of this plateau alone do not determine all twelve.
     """

@@ -431,8 +431,8 @@ def _twins(linear: LinearSystem) -> tuple[tuple[str, ...], ...]:
     """Return the first mounting and its first pass: a change there is equivalent to one in all later readings.
 
     The coefficients absorb the difference: if the change is assigned to the later readings, they apply before it.
-    The result is empty if `spells` has no set of all later readings: if verification points come first, or inputs
-    or free positions later.
+    The result is empty in two cases, in which `spells` has no set of all later readings: verification points come
+    first, or readings of the inputs or in free positions come later.
     """
     readings, conditions = linear.readings, linear.conditions
     known = ~np.isin(readings.installation, list(UNORIENTED))

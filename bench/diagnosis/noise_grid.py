@@ -53,7 +53,10 @@ class Span:
     kept: Floats
 
     def leave(self, white: Floats, taken: Floats) -> None:
-        """Subtract in place, from `white` (N, …), the fraction `taken` (k,) of the part in each direction."""
+        """Reduce the part of `white` (N, …) in the subspace, in place.
+
+        Along each of the k directions, the fraction `taken` (k,) of that part is subtracted.
+        """
         inside: Floats = self.basis.T @ white[self.rows]
         white[self.rows] -= self.basis @ (inside.T * taken).T
 
@@ -62,10 +65,10 @@ class Span:
 class Whitener:
     """A linear map (`@`) of N rows to numbers with independent noise of equal variance.
 
-    Rows with correlated noise form sets. `blocks` has an entry for each number n of rows in a set: the indices (b
-    n,) of the rows of all b such sets, and matrices (b, n, n). These make the noise of the rows independent for any
-    setting error. The factors `root` (N,) then make the variances equal. `fitted` are orthogonal subspaces that are
-    removed: of the coefficients of each accelerometer block, and of other unknowns.
+    Rows with correlated noise form sets. `blocks` has an entry for each number n of rows in a set: the indices
+    (b*n,) of the rows of all b such sets, and matrices (b, n, n). These make the noise of the rows independent for
+    any setting error. The factors `root` (N,) then make the variances equal. `fitted` are orthogonal subspaces that
+    are removed: of the coefficients of each accelerometer block, and of other unknowns.
     """
 
     blocks: tuple[tuple[slice | Ints, Floats], ...]

@@ -108,7 +108,10 @@ class RecordWork:
         return [variant for variant in self.candidates.variants if variant.family == family]
 
     def nearest(self, family: str, shape: Shape) -> Variant | None:
-        """Return the candidate of the effect `family` of nearest shape; None if none has these parameters."""
+        """Return the candidate of the effect `family` whose shape parameters are nearest to `shape`, if any.
+
+        None means that no candidate of this effect has parameters of these names.
+        """
         names = [name for name, _ in shape]
         alike = [one for one in self.shapes_of(family) if [name for name, _ in one.shape] == names]
         apart = [sum(abs(a - b) for (_, a), (_, b) in zip(one.shape, shape, strict=True)) for one in alike]

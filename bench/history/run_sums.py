@@ -378,7 +378,7 @@ LEAST_SHOWN: Final = 0.01
 def _pooled_dof(freedom: Ints, slope: Floats, variances: Floats) -> Floats:
     """Return the degrees of freedom 2 v^2/u(v)^2 of the variances v (4,).
 
-    In u(v), a setting error's v has a small lower limit, so that its degrees of freedom stay defined.
+    The variance of the setting error, v[3], may be 0. u(v) is therefore computed with a small lower limit for it.
     """
     shown = float(np.mean(np.sum(slope**2, axis=1)))
     least = LEAST_SHOWN * float(np.mean(variances[:3])) / shown if shown > 0 else 0.0

@@ -426,7 +426,11 @@ class FreeDiagnosisResult(DiagnosisAlone):
 
 
 def _named(found: Findings, *, accept_first: bool) -> bool:
-    """Return whether an effect was named, or the first effect of an accepted tie may reduce the gap."""
+    """Return whether a model of the effect may be written.
+
+    It may be for the verdict "named". With `accept_first`, it may be for "confounded", too, unless the gap is known
+    not to shrink.
+    """
     accepted = accept_first and found.of_copy == "confounded" and found.gap.shrinks is not False
     return found.of_copy == "named" or accepted
 

@@ -165,7 +165,8 @@ def _day(origin: Origin | None) -> datetime.date:
 def _answered(bench: BenchFile, origin: Origin | None) -> dict[str, str]:
     """Return the serial numbers that the instruments reported, by name; empty for a simulated run.
 
-    If none was recorded, that of the certificate counts if the recorded identity contains it.
+    For an instrument without a recorded serial number, the certificate's counts if it is a word of the recorded
+    identity.
     """
     if origin is None or origin.simulated:
         return {}

@@ -104,7 +104,10 @@ def readings_of(visits: Sequence[Visit], model: ForwardModel, block: Block) -> F
 
 
 def _supply_v(visits: Sequence[Visit]) -> Floats | None:
-    """Return each rail's voltage minus its nominal voltage, V, (n, rails), unknown NaN; or None."""
+    """Return each rail's voltage minus its nominal voltage, V, (n, rails); None if no visit has one.
+
+    The rows of visits without voltages are NaN.
+    """
     rails = max((len(visit.supply_v) for visit in visits), default=0)
     if not rails:
         return None

@@ -150,8 +150,8 @@ class GrossSearch:
     ) -> GrossMistake | None:
         """Return the likeliest of the mistakes `maps` in the `kept` rows (n,); None if none is likely.
 
-        Rows whose signals are more probably useless are left out, and the mistakes in the other rows are compared
-        again.
+        The mistakes compete with losses: one reading, pass or mounting whose signals are useless. If a loss is the
+        likeliest, its rows are left out, and the mistakes in the other rows are compared again.
         """
         losses = [one for one in losses_of(table) if (kept & ~one.scope.mask).any()]
         maps = [one for one in maps if not one.scope.mask[~kept].any()]
