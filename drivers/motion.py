@@ -39,8 +39,8 @@ _LEAST_OF_SPEED: Final = 0.05
 class TravelWatch:
     """Supervision of one move of the head `name` from `start_rad`, begun at the clock time `begun_s`.
 
-    Once the head was within half the back-off of its target, it may be that far away on either side, or stop
-    there. `Mover` then decides whether it has settled.
+    A head is near its target within half the back-off. Once it was near, it may stop, and overshoot by the same
+    distance; `Mover` then decides whether it has settled.
     """
 
     name: str

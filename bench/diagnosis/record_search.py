@@ -286,7 +286,10 @@ class RecordWork:
         return Forms(*self._in_part(every, 0), log, size, variance, parameter, values, of_values)
 
     def close_shapes(self, courses: Sequence[Variant], number: int) -> list[Variant]:
-        """Return the course `number` in its likely shapes, best first; a jump or a fixed shape as it is."""
+        """Return the course `courses[number]` in its likely shapes, best first.
+
+        A jump, or a course without a continuous shape parameter, is returned as it is.
+        """
         course = courses[number]
         if course.family == MOVE or _parameter(course) is None:
             return [course]

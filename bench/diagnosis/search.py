@@ -192,7 +192,11 @@ class SearchTask:
         return whitened, whitened.reduce(linear.response[:, None])
 
     def grid(self, linear: LinearSystem, sigma: float) -> NoiseGrid:
-        """Return the noise grid for a noise estimate `sigma`, fixed if repeats share a rounding error."""
+        """Return the noise grid for a noise estimate `sigma`.
+
+        The noise counts as known if repeats share a rounding error; otherwise its standard deviation is integrated
+        out.
+        """
         return replace(
             make_noise_grid(linear, sigma, self.setting_rad), known=is_rounded(self.resolution, sigma)
         )
@@ -445,7 +449,10 @@ def _look_in_each(
 
 
 def _runs(task: SearchTask, linear: LinearSystem, sigma_of_all: float) -> Iterator[_Run]:
-    """Yield the runs that determine their coefficients; the effects of others are searched in all runs together."""
+    """Yield the runs that determine their coefficients, which can be searched one by one.
+
+    Effects of the other runs are found only in the search of all runs together.
+    """
     readings = linear.readings
     of_row = readings.run[linear.rows.reading]
     for number in np.unique(readings.run):

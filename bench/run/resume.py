@@ -354,7 +354,7 @@ class Redo:
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return the steps to repeat for a `wish` (operator's command) received at step `index`.
 
-    Return None if the head was not turned since the block was mounted or levelled, or got a new set point.
+    Return None if there is no turn of the head to repeat: none since the last mounting, levelling or new set point.
     """
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None

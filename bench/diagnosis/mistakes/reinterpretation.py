@@ -202,7 +202,8 @@ class Reinterpretation:
     def _also_scaled(self, readings: Readings, table: OrientedRows) -> Ints:
         """Return the other rows in the same wrong unit: the factor brings their signals close to those of `table`.
 
-        These are verification rows and free positions, if the supposition is of one part of the run.
+        Other rows are verification rows and free positions. The result is empty if the supposition is about the
+        whole run.
         """
         if not self.scales or self.scope.whole:
             return np.zeros(0, dtype=np.int64)
