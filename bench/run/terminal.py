@@ -118,7 +118,10 @@ def heard_at(prompt: Prompt) -> tuple[Wish, ...]:
 
 
 def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
-    """Return help on the answers and wishes that can be typed; a mapping `wishes` replaces `MEANINGS`."""
+    """Return help on the answers and wishes that can be typed.
+
+    If `wishes` is a mapping, it states the meaning of each wish, in place of `MEANINGS`.
+    """
     meanings = wishes if isinstance(wishes, Mapping) else MEANINGS
     answer = _ANSWERS[prompt.kind]
     if prompt.choices:
