@@ -135,6 +135,7 @@ class Runner:
     on_settling: Callable[[Settling], None] = lambda state: None
     at_resumed_time: Callable[[float], None] | None = None
     _zero_s: float = 0.0
+    _soak_due: bool = False
 
     def __post_init__(self) -> None:
         people, bench, recorder = self.people, self.bench, self.recorder
@@ -202,7 +203,7 @@ class Runner:
         for words in self.certificates(serials) if self.certificates is not None else ():
             self._emit(EventType.CERTIFICATE, words=words)
         if resume:
-            self._restore(resume)
+            start = self._restore(resume)
         elif self._workbench.power is not None and self.plan.begins_on():
             self._insist(partial(self._workbench.do_power, SWITCHED_ON))
         self._carry_out(start)
@@ -215,6 +216,8 @@ class Runner:
                 if self._ask_in_doubt():
                     continue
                 self._poll_wishes()
+                if self._soak_due:
+                    self._soak_again(index)
                 if not self.progress.settled(index):
                     self._step(index)
                 index += 1
@@ -266,7 +269,8 @@ class Runner:
     def _now_s(self) -> float:
         return self.bench.clock.now_s() - self._zero_s
 
-    def _restore(self, resume: ResumePoint) -> None:
+    def _restore(self, resume: ResumePoint) -> int:
+        """Restore the bench, with every question before the long waits; return the step to continue with."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -277,23 +281,35 @@ class Runner:
                 self._insist(partial(self._remount, last))
             elif isinstance(last, SelectInput) and last.source != "signal":
                 self._insist(partial(self._workbench.execute, last))
+        start = self._decided(resume.step)
         if (power := self._workbench.power) is not None:
-            known = (power, self.plan, resume.step, self.progress)
+            known = (power, self.plan, start, self.progress)
             self._insist(
                 partial(take_up, *known, self._workbench.do_power, partial(self._emit_remounted, why="power"))
             )
-        self._soak_again(resume.step)
-        if resume.turn is not None:
+        self._soak_again(start)
+        if resume.turn is not None and start == resume.step:
             self._insist(partial(self._step, resume.turn))
-        self.progress.reopen(self.plan, resume.step)
+        self.progress.reopen(self.plan, start)
         if self.at_resumed_time is not None:
             self.at_resumed_time(resume.bench_s)
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
+        return start
+
+    def _decided(self, index: int) -> int:
+        """Have a person decide on an open early sign before step `index`; return the step to continue with."""
+        while self.progress.doubt is not None:
+            try:
+                self._ask_in_doubt()
+            except OperatorWish as wish:
+                index = self._obey(wish.control, index)
+        return index
 
     def _soak_again(self, step: int) -> None:
         """Wait, before `step`, for the temperature of the block as the procedure did when it set the chamber."""
         for soak in soak_to_repeat(self.plan, self.progress, step):
             self._insist(partial(self._step, soak))
+        self._soak_due = False
 
     def _remount(self, step: Mount) -> None:
         """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
@@ -408,7 +424,7 @@ class Runner:
         if found.mount is not None:
             self._insist(partial(self._workbench.do_mount, found.mount))
             self._emit_remounted(found.mount)
-            self._soak_again(found.first)
+            self._soak_due = True
         return min(found.first, index)
 
     # --- steps ---------------------------------------------------------------------------------------
