@@ -470,7 +470,7 @@ def _refuse_renamed(record: Record) -> None:
     if place == record.folder:
         return
     now = message(f"it is {place} now") if place else message("it is no longer beside the other runs")
-    again = as_typed(place or "FOLDER") + devices_to_type()
+    again = as_typed(place or "FOLDER") + devices_to_type(place)
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"
