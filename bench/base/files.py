@@ -183,7 +183,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def write_whole(path: Path, text: str | bytes) -> None:
     """Write a file atomically, also if the power fails. Raises `OSError` that names the path.
 
-    A text is encoded in UTF-8. Links are followed. A device or pipe (`/dev/null`) is written to, never replaced by a
+    A text is encoded in UTF-8. Links are followed. A device or pipe (`/dev/null`) is written to, not replaced by a
     file.
     """
     content = text.encode() if isinstance(text, str) else text
