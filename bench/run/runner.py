@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import takewhile
 from typing import Any, Final
 
 from bench.config.procedure.plan import (
@@ -278,7 +279,8 @@ class Runner:
             if isinstance(last, SetTemperature):
                 self._insist(partial(self._workbench.do_temperature, last))
             elif isinstance(last, Mount) and is_still_to_be_read(self.plan, self.progress, resume.step):
-                self._insist(partial(self._remount, last))
+                at = resume.step if self.progress.doubt is None else self.progress.doubt.step
+                self._insist(partial(self._remount, last, at))
             elif isinstance(last, SelectInput) and last.source != "signal":
                 self._insist(partial(self._workbench.execute, last))
         start = self._decided(resume.step)
@@ -311,12 +313,17 @@ class Runner:
             self._insist(partial(self._step, soak))
         self._soak_due = False
 
-    def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
+    def _remount(self, step: Mount, index: int) -> None:
+        """Ask whether the block is still mounted as it was; if not, its readings from `index` on form a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
-        self._emit_remounted(step)
+        self._emit_remounted(self._next_on(step, index))
+
+    def _next_on(self, mounting: Mount, index: int) -> Mount | Read:
+        """Return the next reading on a mounting from step `index` on, which may be of a later series; or `mounting`."""
+        coming = takewhile(lambda step: not isinstance(step, Mount), self.plan.steps[index:])
+        return next((step for step in coming if isinstance(step, Read) and step.target_rad is not None), mounting)
 
     def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
         """Record that the block was mounted again or lost power, so that its later readings form a new visit."""
@@ -423,7 +430,7 @@ class Runner:
         self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:
             self._insist(partial(self._workbench.do_mount, found.mount))
-            self._emit_remounted(found.mount)
+            self._emit_remounted(self._next_on(found.mount, found.first))
             self._soak_due = True
         return min(found.first, index)
 
