@@ -314,16 +314,18 @@ class Runner:
         self._soak_due = False
 
     def _remount(self, step: Mount, index: int) -> None:
-        """Ask whether the block is still mounted as it was; if not, its readings from `index` on form a new visit."""
+        """Ask whether the block is still mounted as it was; if not, readings from `index` on form a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
         self._emit_remounted(self._next_on(step, index))
 
     def _next_on(self, mounting: Mount, index: int) -> Mount | Read:
-        """Return the next reading on a mounting from step `index` on, which may be of a later series; or `mounting`."""
+        """Return the next reading on a mounting from step `index` on, whose series may be later; or `mounting`."""
         coming = takewhile(lambda step: not isinstance(step, Mount), self.plan.steps[index:])
-        return next((step for step in coming if isinstance(step, Read) and step.target_rad is not None), mounting)
+        return next(
+            (step for step in coming if isinstance(step, Read) and step.target_rad is not None), mounting
+        )
 
     def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
         """Record that the block was mounted again or lost power, so that its later readings form a new visit."""
