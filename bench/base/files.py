@@ -181,9 +181,10 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def write_whole(path: Path, text: str | bytes) -> None:
-    """Write a file atomically; a text is encoded in UTF-8. Raises `OSError` that names the path.
+    """Write a file atomically, also if the power fails. Raises `OSError` that names the path.
 
-    Links are followed. A device or pipe (`/dev/null`) is written to, never replaced by a file.
+    A text is encoded in UTF-8. Links are followed. A device or pipe (`/dev/null`) is written to, not replaced by a
+    file.
     """
     content = text.encode() if isinstance(text, str) else text
     try:
@@ -215,7 +216,7 @@ def _opened_at_once(path: Path) -> BinaryIO:
 def _put_in_place(path: Path, content: bytes) -> None:
     half = path.with_name(path.name + ".part")
     try:
-        half.write_bytes(content)
+        write_synced(half, content)  # else the name could reach the disk before the content
         half.replace(path)
     except OSError:
         with suppress(OSError):  # a read-only file system refuses this, too

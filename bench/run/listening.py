@@ -40,13 +40,19 @@ GAP_S: Final = 30.0
 class ClockWatch:
     """Compares civil time (`civil`) with bench time (`now_s`, s) from event to event.
 
-    While a computer sleeps, civil time continues, but on most systems the bench's clock stops.
+    While a computer sleeps, civil time continues, but on most systems the bench's clock stops. `last` holds both
+    times of an earlier event, if any.
     """
 
-    def __init__(self, civil: Callable[[], datetime], now_s: Callable[[], float]) -> None:
+    def __init__(
+        self,
+        civil: Callable[[], datetime],
+        now_s: Callable[[], float],
+        last: tuple[datetime, float] | None = None,
+    ) -> None:
         self._civil = civil
         self._now_s = now_s
-        self._last: tuple[datetime, float] | None = None
+        self._last = last
 
     def gap_s(self) -> float:
         """Return the gain of civil time over bench time since the last call, s; 0 within ± `GAP_S`."""

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
 
-from bench.base.files import open_regular
+from bench.base.files import open_regular, read_regular
 from bench.base.languages import ENGLISH, language, message, translated
 from bench.base.numbers import read_number
 from bench.base.text import in_json, shortened
@@ -180,9 +180,13 @@ def leave_wish(folder: Path, control: RunControl) -> None:
 
 
 def _leave(file: Path, told: Mapping[str, str]) -> None:
-    line = in_json(json.dumps(told, ensure_ascii=False))
+    """Append a line; an incomplete line that a full disk or a power cut left at the end must not swallow it."""
+    line = in_json(json.dumps(told, ensure_ascii=False)).encode() + b"\n"
+    torn = file.exists() and (content := read_regular(file)) and not content.endswith(b"\n")
     with open_regular(file, "ab") as lines:
-        lines.write(line.encode() + b"\n")
+        rest = b"\n" * bool(torn) + line
+        while rest:  # an unbuffered file may accept only a part at once
+            rest = rest[lines.write(rest) :]
 
 
 def parse_wish(text: str) -> RunControl:

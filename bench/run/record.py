@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 from bench.base.computing import uncollected
-from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, write_synced
+from bench.base.files import DISK_FULL, open_regular, read_json, read_regular, sync_folder, write_synced
 from bench.base.languages import message
 from bench.base.text import as_typed, cause_of, in_json
 from bench.config.procedure.plan import Plan, Read, Turn
@@ -332,6 +332,9 @@ class Record:
         text = in_json(json.dumps(manifest, indent=1, ensure_ascii=False)).encode()
         _make_folder(folder, {**inputs, MANIFEST: text})
         record = cls(folder, now, shield)
+        for named in (folder, folder.parent):
+            with suppress(OSError):  # some network drives cannot
+                sync_folder(named)
         record._last_hash = sha256(text)
         return record
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import takewhile
 from typing import Any, Final
 
 from bench.config.procedure.plan import (
@@ -135,6 +136,7 @@ class Runner:
     on_settling: Callable[[Settling], None] = lambda state: None
     at_resumed_time: Callable[[float], None] | None = None
     _zero_s: float = 0.0
+    _soak_due: bool = False
 
     def __post_init__(self) -> None:
         people, bench, recorder = self.people, self.bench, self.recorder
@@ -202,7 +204,7 @@ class Runner:
         for words in self.certificates(serials) if self.certificates is not None else ():
             self._emit(EventType.CERTIFICATE, words=words)
         if resume:
-            self._restore(resume)
+            start = self._restore(resume)
         elif self._workbench.power is not None and self.plan.begins_on():
             self._insist(partial(self._workbench.do_power, SWITCHED_ON))
         self._carry_out(start)
@@ -215,6 +217,8 @@ class Runner:
                 if self._ask_in_doubt():
                     continue
                 self._poll_wishes()
+                if self._soak_due:
+                    self._soak_again(index)
                 if not self.progress.settled(index):
                     self._step(index)
                 index += 1
@@ -266,7 +270,8 @@ class Runner:
     def _now_s(self) -> float:
         return self.bench.clock.now_s() - self._zero_s
 
-    def _restore(self, resume: ResumePoint) -> None:
+    def _restore(self, resume: ResumePoint) -> int:
+        """Restore the bench, with every question before the long waits; return the step to continue with."""
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -274,33 +279,53 @@ class Runner:
             if isinstance(last, SetTemperature):
                 self._insist(partial(self._workbench.do_temperature, last))
             elif isinstance(last, Mount) and is_still_to_be_read(self.plan, self.progress, resume.step):
-                self._insist(partial(self._remount, last))
+                at = resume.step if self.progress.doubt is None else self.progress.doubt.step
+                self._insist(partial(self._remount, last, at))
             elif isinstance(last, SelectInput) and last.source != "signal":
                 self._insist(partial(self._workbench.execute, last))
+        start = self._decided(resume.step)
         if (power := self._workbench.power) is not None:
-            known = (power, self.plan, resume.step, self.progress)
+            known = (power, self.plan, start, self.progress)
             self._insist(
                 partial(take_up, *known, self._workbench.do_power, partial(self._emit_remounted, why="power"))
             )
-        self._soak_again(resume.step)
-        if resume.turn is not None:
+        self._soak_again(start)
+        if resume.turn is not None and start == resume.step:
             self._insist(partial(self._step, resume.turn))
-        self.progress.reopen(self.plan, resume.step)
+        self.progress.reopen(self.plan, start)
         if self.at_resumed_time is not None:
             self.at_resumed_time(resume.bench_s)
             self._zero_s = self.bench.clock.now_s() - resume.bench_s
+        return start
+
+    def _decided(self, index: int) -> int:
+        """Have a person decide on an open early sign before step `index`; return the step to continue with."""
+        while self.progress.doubt is not None:
+            try:
+                self._ask_in_doubt()
+            except OperatorWish as wish:
+                index = self._obey(wish.control, index)
+        return index
 
     def _soak_again(self, step: int) -> None:
         """Repeat, before `step`, the waits that followed the last setting of the chamber (`soak_to_repeat`)."""
         for soak in soak_to_repeat(self.plan, self.progress, step):
             self._insist(partial(self._step, soak))
+        self._soak_due = False
 
-    def _remount(self, step: Mount) -> None:
-        """Ask whether the block is still mounted as it was; if not, its later readings form a new visit."""
+    def _remount(self, step: Mount, index: int) -> None:
+        """Ask whether the block is still mounted as it was; if not, readings from `index` on form a new visit."""
         if self._workbench.still_mounted(step):
             self._workbench.temperature_c = self.progress.temperature_c
             return
-        self._emit_remounted(step)
+        self._emit_remounted(self._next_on(step, index))
+
+    def _next_on(self, mounting: Mount, index: int) -> Mount | Read:
+        """Return the next reading on a mounting from step `index` on, whose series may be later; or `mounting`."""
+        coming = takewhile(lambda step: not isinstance(step, Mount), self.plan.steps[index:])
+        return next(
+            (step for step in coming if isinstance(step, Read) and step.target_rad is not None), mounting
+        )
 
     def _emit_remounted(self, step: Mount | Read, why: str = "") -> None:
         """Record that the block was mounted again or lost power, so that its later readings form a new visit."""
@@ -407,8 +432,8 @@ class Runner:
         self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:
             self._insist(partial(self._workbench.do_mount, found.mount))
-            self._emit_remounted(found.mount)
-            self._soak_again(found.first)
+            self._emit_remounted(self._next_on(found.mount, found.first))
+            self._soak_due = True
         return min(found.first, index)
 
     # --- steps ---------------------------------------------------------------------------------------

@@ -306,7 +306,7 @@ def run_again(run: Run, procedure: str | None = None, command: str = "run") -> s
     asked = run.manifest.get("bench_why") == "as asked for"
     bench = f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else ""
     runs = runs_to_type(run.folder.parent) if command == "run" else ""
-    return f"bench {command} {procedure}{bench}{runs}{devices_to_type()}"
+    return f"bench {command} {procedure}{bench}{runs}{devices_to_type(run.folder)}"
 
 
 def _typed(file: str, kind: str) -> str:

@@ -34,7 +34,7 @@ from bench.run.listening import Asker, ClockWatch, WishListener
 from bench.run.live import LiveSignals
 from bench.run.person import NOBODY_KNOWN, ControlFile, WishAuthor, agree
 from bench.run.power import Feeding
-from bench.run.record import History, Record, is_being_written, read_history, resume_point
+from bench.run.record import History, Record, ResumePoint, is_being_written, read_history, resume_point
 from bench.run.resume import PlanProgress
 from bench.run.runner import Observer, People, Recorder, RunAborted, Runner
 from bench.run.samples import SLOW_AFTER_S
@@ -56,7 +56,7 @@ from bench.services.validated import (
     without_gravity,
 )
 from bench.services.verification import NOTHING_ASKED, VerdictOptions, judgement_of
-from drivers.clock import Haste, utc_now
+from drivers.clock import Clock, Haste, utc_now
 from drivers.interfaces import BenchError
 from drivers.person import Prompt, PromptKind
 from drivers.wire.replay import WireLog, logged_wire
@@ -351,7 +351,7 @@ def carry_out(
                 record,
                 observers=(*assembly.observers, watcher.observe, *live, bar, RunLog(run.folder, run.plan)),
                 progress=history.progress.copy() if history else PlanProgress(),
-                clocks=None if run.simulated else ClockWatch(utc_now, assembly.clock.now_s),
+                clocks=None if run.simulated else _clock_watch(history, resume, assembly.clock),
             )
             Runner(
                 run.plan,
@@ -464,13 +464,21 @@ def _elapsed_s(history: History) -> float:
     return last.bench_s + max(0.0, (utc_now() - datetime.fromisoformat(last.time)).total_seconds())
 
 
+def _clock_watch(history: History | None, resume: ResumePoint | None, clock: Clock) -> ClockWatch:
+    """Return the watch of the computer's clock, which may have been set back while the run was stopped."""
+    last = None
+    if resume and history and (event := history.events.last) is not None:
+        last = datetime.fromisoformat(event.time), clock.now_s() - (resume.bench_s - event.bench_s)
+    return ClockWatch(utc_now, clock.now_s, last)
+
+
 def _refuse_renamed(record: Record) -> None:
     """Raise `Refused` if the folder of a finished run was renamed or moved, as results cannot be written there."""
     place = record.whereabouts()
     if place == record.folder:
         return
     now = message(f"it is {place} now") if place else message("it is no longer beside the other runs")
-    again = as_typed(place or "FOLDER") + devices_to_type()
+    again = as_typed(place or "FOLDER") + devices_to_type(place)
     raise Refused(
         f"{record.folder}: the run is finished, but its folder was moved ({now}); "
         f"'bench resume {again}' computes its results there"

@@ -18,7 +18,7 @@ from bench.run.folder import VERIFY, Digest, Digests, Run, all_runs, find_run, s
 from bench.run.record import is_being_written
 from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import SealRun, ShowRun
-from bench.services.requests.shared import name_to_type, runs_folder
+from bench.services.requests.shared import name_to_type, resume_to_type, runs_folder
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     if not wanted or is_being_written(run.folder):
         return state.value, ""
     alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
-    return alive.get(state, state.value), f"bench resume {name_to_type(run.folder)}"
+    return alive.get(state, state.value), f"bench resume {resume_to_type(run.folder)}"
 
 
 NOTHING_OUTSIDE = (

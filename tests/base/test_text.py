@@ -192,6 +192,18 @@ def test_a_link_is_followed(tmp_path: Path) -> None:
     assert (tmp_path / "true").read_text(encoding="utf-8") == "after"
 
 
+def test_the_content_is_on_the_disk_before_the_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After a power cut, a file that was replaced is the old one or the new one, never an empty one."""
+    synced = []
+    monkeypatch.setattr(
+        os, "fsync", lambda file: synced.append((os.fstat(file).st_ino, os.fstat(file).st_size))
+    )
+    write_whole(tmp_path / "r.json", "before")
+    write_whole(tmp_path / "r.json", "afterwards")
+    assert (tmp_path / "r.json").read_text(encoding="utf-8") == "afterwards"
+    assert synced[-1] == ((tmp_path / "r.json").stat().st_ino, 10)
+
+
 def test_what_cannot_be_written_is_named_and_leaves_no_half(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="folder"):
         write_whole(tmp_path / "folder" / "r.json", "x")

@@ -1,6 +1,7 @@
 """A run as on a real bench: bench file with addresses, a person who types, instruments that fail."""
 
 import re
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from bench.config.bench_file.file import load_bench
 from bench.model import ForwardModel
 from bench.run.folder import Run
+from bench.services import execution
 from drivers.instruments.manual import ManualHead
 from sim.bench import SimulatedBench
 from sim.wires.session import WireFault
@@ -91,6 +93,22 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]
+
+
+@pytest.mark.parametrize(("set_s", "jumps_s"), [(-3600.0, [-3600.0]), (0.0, [])])
+def test_a_clock_set_back_while_a_run_was_stopped_is_on_record(served, bench, monkeypatch, set_s, jumps_s):
+    """The time since the stop is then unknown: bench time continues where it stopped, and the record says why."""
+    assert start(bench, answers="yes\n23.0\n0 0 2\n")[0] == 2
+    now = execution.utc_now
+    monkeypatch.setattr(execution, "utc_now", lambda: now() + timedelta(seconds=set_s))
+    status, out, _ = bench("resume", "run", stdin="untouched\n89 59 58\n")
+    assert status == 0
+    events = [*Run(Path("runs/run")).history.events]
+    jumped = [event for event in events if event.type == "clock_jumped"]
+    assert [round(event.data["ahead_s"], -1) for event in jumped] == jumps_s
+    assert ("the computer's clock went" in out) == bool(jumps_s)
+    times = [event.bench_s for event in events]
+    assert times == sorted(times)
 
 
 def test_a_reading_that_was_redone_is_counted_once(served, bench):

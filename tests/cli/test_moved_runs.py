@@ -70,7 +70,7 @@ def test_a_page_that_cannot_be_written_is_told_with_what_to_do(bench, monkeypatc
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
     monkeypatch.setattr("bench.services.calibration.report_page", lambda *_: ("<html>", None))
-    monkeypatch.setattr(Path, "write_bytes", refused)
+    monkeypatch.setattr("bench.base.files.write_synced", refused)
     monkeypatch.setattr(Path, "unlink", refused)
     status, _, err = bench("report", "one")
     assert status == 2

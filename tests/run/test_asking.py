@@ -8,11 +8,13 @@ import pytest
 from rich.console import Console
 
 from bench.run import listening
+from bench.run import person as person_module
 from bench.run import terminal as terminal_module
 from bench.run.events import Event, Wish
 from bench.run.listening import READ_S, Asker, WishListener
 from bench.run.person import (
     ANSWERS,
+    CONTROL,
     ControlFile,
     LeftAnswer,
     OperatorWish,
@@ -274,6 +276,38 @@ def test_wishes_left_in_the_folder_are_heard_at_a_question_where_they_would_be_t
     with pytest.raises(OperatorWish) as heard:
         away.ask(PAUSED)
     assert heard.value.control.wish is Wish.CONTINUE
+
+
+class Short(io.RawIOBase):
+    """A file that accepts a few bytes at once, as one on a disk that is nearly full."""
+
+    def __init__(self, file):
+        self.file = file
+
+    def write(self, data):
+        return self.file.write(data[:7])
+
+    def close(self):
+        self.file.close()
+
+
+@pytest.mark.parametrize("torn", [b"", b'{"wish": "pau', bytes(30)], ids=["short", "torn", "zeros"])
+def test_what_a_full_disk_or_a_power_cut_tore_swallows_no_later_request(run, away, monkeypatch, torn):
+    opened = person_module.open_regular
+    monkeypatch.setattr(
+        person_module,
+        "open_regular",
+        lambda f, mode="rb": Short(o) if mode == "ab" and (o := opened(f, mode)) else opened(f),
+    )
+    controls = ControlFile(run.folder)
+    (run.folder / CONTROL).write_bytes(torn)
+    leave_wish(run.folder, RunControl(Wish.STOP, "smoke", who=ANN))
+    assert controls.poll() == RunControl(Wish.STOP, "smoke", who=ANN)
+    (run.folder / ANSWERS).write_bytes(torn)
+    run.plan = [
+        lambda: leave_answer(run.folder, LeftAnswer(open_prompt(run.events).event.data["id"], "yes", ANN))
+    ]
+    assert away.ask(MOUNT).text == "yes"
 
 
 def test_a_wish_to_stop_leaves_a_question_as_ctrl_c_does(run, away, keyboard_and_person):

@@ -1,18 +1,21 @@
 """The readings of a run say which mounting each is of, where this is not one mounting for each series."""
 
 import json
+from contextlib import closing, nullcontext
 from dataclasses import replace
 
 import pytest
 
 from bench.config.procedure.load import load_procedure
-from bench.config.procedure.plan import Mount, Plan, Power, Read
+from bench.config.procedure.plan import Mount, Plan, Power, Read, Turn
 from bench.config.shipped import find_procedure
 from bench.readings.columns import MOUNTING
 from bench.readings.csv import format_csv, read_csv
+from bench.run.events import Wish
 from bench.run.folder import PLAN, Run
-from bench.run.record import Record
-from tests.support.runner_bench import NOON, STOP
+from bench.run.person import Controls, RunControl
+from bench.run.record import Record, resume_point
+from tests.support.runner_bench import NOON, STOP, Bench, Person, changed, make_runner
 
 
 def read(installation, series, point=1):
@@ -85,6 +88,60 @@ def test_an_unplanned_remount_is_a_mounting_and_a_loss_of_power_is_none(carried_
 def test_a_loss_of_power_alone_makes_two_series_of_one_mounting(carried_out):
     plan = replace(EACH_MOUNTED, steps=(*EACH_MOUNTED.steps, read("1", 2, 2)))
     assert mountings(carried_out(plan, {6: {"now_series": 3, "why": "power"}})) == ["1", "2", "3", "3"]
+
+
+def two_passes_switched_on_again():
+    """Return a plan of one mounting: a pass in series 1, the block off and on again, two passes in series 2."""
+
+    def of(series, number):
+        where = ("1", series, number, 1, 0.5, 1)
+        key = f"{series}.{number}"
+        return Turn(f"t{key}", *where, STOP), Read(f"r{key}", *where, 1, 10.0, STOP)
+
+    return Plan("test", (Mount("m", "1", 1), *of(1, 1), *of(2, 1), *of(2, 2)), "")
+
+
+class InLastPass(Controls):
+    """At the last pass, once: the wish to mount the block again, or Ctrl-C."""
+
+    def __init__(self, bench, what):
+        self.bench, self.what = bench, [what]
+
+    def poll(self):
+        if ("move", "t2.2") not in self.bench.done or not self.what:
+            return None
+        if isinstance(what := self.what.pop(), BaseException):
+            raise what
+        return what
+
+
+class Remounting(Person):
+    """A person who mounted the block again while the run was stopped."""
+
+    def ask(self, prompt):
+        answer = super().ask(prompt)
+        return replace(answer, text="mounted again") if "mounted again" in prompt.choices else answer
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_readings_after_a_remounting_are_a_series_of_their_own_also_in_a_later_series(tmp_path, resumed):
+    """The stand angles are constant within a series: two mountings in one would be calibrated as one."""
+    plan, bench = two_passes_switched_on_again(), Bench()
+    inputs = {PLAN: json.dumps(plan.to_json()).encode()}
+    what = KeyboardInterrupt() if resumed else RunControl(Wish.MOUNT_AGAIN)
+    with closing(Record.create(tmp_path / "run", {"name": "run"}, inputs, lambda: NOON)) as record:
+        runner = make_runner(bench, record, plan, controls=InLastPass(bench, what))
+        with pytest.raises(KeyboardInterrupt) if resumed else nullcontext():
+            runner.run()
+    if resumed:
+        record, history = Record.reopen(tmp_path / "run", lambda: NOON)
+        with closing(record):
+            runner = make_runner(bench, record, plan, progress=history.progress.copy())
+            changed(runner, person=Remounting(bench)).run(resume_point(plan, history))
+    run = Run(tmp_path / "run")
+    assert run.readings().series.tolist() == [1, 2, 3]
+    assert mountings(run) == ["1", "1", "2"]
+    assert run.readings().conditions().clamped.tolist() == [0, 0, 2]
 
 
 @pytest.mark.parametrize(("name", "series"), [("turn-on", 4), ("temperature", 9), ("calibration", 1)])

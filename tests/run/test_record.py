@@ -36,6 +36,14 @@ def test_events_come_back_as_written(tmp_path):
     assert history.state == "running"
 
 
+def test_a_new_run_is_on_the_disk_with_the_names_of_its_files(tmp_path, monkeypatch):
+    """A power cut in the first hour would else leave a folder without its record, or no folder."""
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda file: synced.append(os.fstat(file).st_ino))
+    folder = make(tmp_path / "run")
+    assert {place.stat().st_ino for place in (tmp_path, folder, *folder.iterdir())} <= {*synced}
+
+
 @pytest.mark.parametrize("line", [0, 1, 3])
 def test_a_changed_line_is_found(tmp_path, line):
     path = make(tmp_path / "run") / EVENTS

@@ -8,17 +8,20 @@ import pytest
 
 from bench.config.procedure.plan import Plan, SetTemperature, Settle, Wait
 from bench.run.events import EventType, Wish
+from bench.run.expectation import EarlySign
 from bench.run.instruments import with_notes
 from bench.run.interrupts import SIGNALS, Interrupts
-from bench.run.person import RunControl
+from bench.run.person import OperatorWish, RunControl
 from bench.run.record import Record, RecordError, resume_point
-from bench.run.runner import Recorder
-from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded
+from bench.run.runner import Recorder, RunAborted
+from drivers.interfaces import BenchError, Identity, InstrumentLost, LimitExceeded, NoAnswer
+from drivers.person import Answer
 from tests.support.runner_bench import (
     ALL,
     NOON,
     READS,
     Bench,
+    Person,
     Wishing,
     changed,
     instruments,
@@ -236,6 +239,103 @@ def test_a_run_resumed_at_a_temperature_lets_the_block_soak_again(tmp_path, monk
     first = ["2/temperature"] if stopped_after == "r23" else ["1/settle", "1/wait", "w"]
     assert keys[: len(first)] == first
     assert recorded(tmp_path / "run")[1] == READS
+
+
+OFF = "x is off"
+
+
+class Deciding(Person):
+    """A person who gives `decisions` on readings in doubt, and then no answer."""
+
+    def __init__(self, bench, *decisions):
+        super().__init__(bench)
+        self.decisions = [*decisions]
+
+    def ask(self, prompt):
+        if not prompt.id.startswith("halt"):
+            return super().ask(prompt)
+        self.bench.act("ask", "halt")
+        if not self.decisions:
+            raise NoAnswer("operator", "nobody answered", "answer")
+        if isinstance(decision := self.decisions.pop(0), RunControl):
+            raise OperatorWish(decision)
+        return Answer(prompt.id, decision)
+
+
+def in_doubt_at(key):
+    """Return a watch that finds the first reading at step `key` (its point, of installation 2) off."""
+    signs = [EarlySign(OFF, "there", ("x",), (9.0, 0.0, 0.0), 1e-9, ("cable",), 1, confident=True)]
+
+    def watch(reading):
+        here = f"r{reading.installation}{reading.point}" == key
+        return [signs.pop()] if here and signs else []
+
+    return watch
+
+
+def stop_in_doubt(tmp_path, plan, key):
+    with closing(new_record(tmp_path)) as record:
+        bench = Bench()
+        runner = make_runner(bench, record, plan, watch=in_doubt_at(key), decider=Deciding(bench))
+        with pytest.raises(NoAnswer, match=OFF):
+            with_chamber(runner, Chamber(bench)).run()
+
+
+def decide(folder, plan, *decisions):
+    """Resume the run in `folder` with a person who decides; return what was done, in order."""
+    record, history = Record.reopen(folder, lambda: NOON)
+    with closing(record):
+        bench = Bench()
+        decider = Deciding(bench, *decisions)
+        runner = make_runner(bench, record, plan, progress=history.progress.copy(), decider=decider)
+        with_chamber(runner, Chamber(bench)).run(resume_point(plan, history))
+    events = [e for e in recorded(folder)[0].events if e.number > history.events.last.number]
+    return [
+        e.data["key"] if e.type == "step_done" else e.type
+        for e in events
+        if e.type in {"step_done", "went_on", "redo", "remounted", "run_aborted"}
+    ]
+
+
+@pytest.mark.parametrize(
+    ("key", "decisions", "first"),
+    [
+        ("r21", ["go on it is the cable"], ["went_on", "1/wait", "w", "t22"]),
+        ("r21", ["redo point"], ["redo", "1/wait", "w", "t21"]),
+        ("r21", [RunControl(Wish.PAUSE, by_person=True), "redo point"], ["redo", "1/wait", "w", "t21"]),
+        ("r22", ["mount again"], ["redo", "1/wait", "w", "m2", "t21"]),
+        ("r23", ["go on it is the cable"], ["went_on"]),
+        ("r23", ["redo point"], ["redo", "1/wait", "w", "t23"]),
+    ],
+)
+def test_a_run_resumed_in_doubt_asks_before_the_block_soaks(tmp_path, key, decisions, first):
+    """The question waits for no soak of hours, and a soak is waited for once, if a reading still needs it."""
+    plan = heated(Wait("1/wait", 7200.0, "soak"))
+    stop_in_doubt(tmp_path, plan, key)
+    done = decide(tmp_path / "run", plan, *decisions)
+    assert done[: len(first)] == first
+    assert done.count("1/wait") == first.count("1/wait")
+    assert recorded(tmp_path / "run")[1][-1] == "r23"
+
+
+def test_a_block_mounted_again_in_a_resumed_run_soaks_once(tmp_path):
+    steps = [*make_plan().steps]
+    turn = next(i for i, step in enumerate(steps) if step.key == "t13")
+    steps[turn:turn] = [SetTemperature("1/temperature", 40.0), Wait("1/wait", 7200.0, "soak")]
+    plan = Plan("test", tuple(steps), "")
+    stop_in_doubt(tmp_path, plan, "r13")
+    done = decide(tmp_path / "run", plan, "mount again")
+    assert done[:4] == ["redo", "remounted", "1/wait", "t13"]
+    assert done.count("1/wait") == 1
+
+
+def test_a_run_resumed_in_doubt_and_aborted_does_not_soak(tmp_path):
+    plan = heated(Wait("1/wait", 7200.0, "soak"))
+    stop_in_doubt(tmp_path, plan, "r21")
+    with pytest.raises(RunAborted):
+        decide(tmp_path / "run", plan, RunControl(Wish.ABORT, "enough", by_person=True))
+    waits = [e for e in recorded(tmp_path / "run")[0].events if e.data.get("key") == "1/wait"]
+    assert len(waits) == 2  # begun and done, before the stop
 
 
 def test_a_block_mounted_again_at_a_temperature_soaks_again(tmp_path):

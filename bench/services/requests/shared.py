@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 from bench.base.languages import message
 from bench.base.requests import ESTIMATORS_TOLD, Option
 from bench.base.text import as_typed
-from bench.config.devices import devices_given
+from bench.config.devices import FOLDERS, devices_given
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -117,14 +117,31 @@ def runs_to_type(folder: Path) -> str:
     return "" if folder.absolute() == runs_folder(None).absolute() else f" --runs {as_typed(folder)}"
 
 
-def devices_to_type() -> str:
-    """Return the options `--devices` of this command, for another command that opens the same bench."""
-    return "".join(f" --devices {as_typed(folder)}" for folder in devices_given.get())
+def devices_to_type(run: Path | None = None) -> str:
+    """Return the options `--devices` that a command on the same bench needs.
+
+    They name the folders given to this command, and those of the run in folder `run` that are not known here.
+    """
+    folders = [*devices_given.get(), *(() if run is None else _further_devices(run))]
+    return "".join(f" --devices {as_typed(folder)}" for folder in folders)
+
+
+def _further_devices(run: Path) -> list[Path]:
+    """Return the folders from which a run took drivers, if they exist and this command does not search them."""
+    from bench.run.events import RecordError, read_manifest  # takes long to import
+
+    try:
+        places = [Path(str(place)) for place in read_manifest(run).get("devices", {}).values()]
+    except (RecordError, AttributeError):
+        return []
+    folders = {place.parent.parent if place.name == "__init__.py" else place.parent for place in places}
+    searched = {Path(one).expanduser().absolute() for one in os.environ.get(FOLDERS, "").split(os.pathsep)}
+    return sorted(one for one in folders - searched if one.is_absolute() and one.is_dir())
 
 
 def resume_to_type(run: Path) -> str:
     """Return what follows `bench resume` in the command that resumes a run: the run and the options `--devices`."""
-    return f"{name_to_type(run)}{devices_to_type()}"
+    return f"{name_to_type(run)}{devices_to_type(run)}"
 
 
 @dataclass(frozen=True, kw_only=True)

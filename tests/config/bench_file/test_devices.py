@@ -205,5 +205,10 @@ def test_the_commands_that_a_run_suggests_name_the_folder_of_devices(mine, bench
         stopped = bench("run", "quick", "--dry-run", "--bench", path, "--name", "done", "--devices", mine)
     assert stopped[0] == 2
     assert f"'bench resume done --devices {mine}' computes the results" in stopped[2]
+    listed = bench("runs", "--json", "-")[1]
+    assert json.loads(listed)["runs"][0]["to_go_on"] == f"bench resume done --devices {mine}"
+    with monkeypatch.context() as searched:
+        searched.setenv("BENCH_DEVICES", str(mine))
+        assert json.loads(bench("runs", "--json", "-")[1])["runs"][0]["to_go_on"] == "bench resume done"
     ended = bench("resume", "done", "--devices", mine)[1].splitlines()[-1]
     assert f"--bench {path} --devices {mine}" in ended
