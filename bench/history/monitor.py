@@ -17,7 +17,7 @@ from bench.calibration.result import CalibrationError
 from bench.history.control_chart import CheckRun, ControlChart, control_chart
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.stats.control_charts import ChartDesign
-from bench.stats.repeats_likelihood import sizes_of
+from bench.stats.repeats_likelihood import COMMON, sizes_of
 
 LEAST_G: Final = 0.9
 """Least specific force, g, upwards and downwards, at which an axis counts as turned."""
@@ -99,8 +99,9 @@ def _with_settings(alike: Floats, signal: Floats, force: Floats, found: Floats, 
         return alike
     by = np.zeros((4, 3))
     by[turned, 0] = by[np.flatnonzero(shaft), 1] = by[3, 2] = 1.0
-    floor = noise_floor(signal, 0.0)
-    sizes = sizes_of(scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, by)[0]
+    seen = scatter.matrix[None], scatter.freedom, scatter.slope[None], noise_floor(signal, 0.0)
+    # a common size of all channels has one maximum; without it, a quiet third channel can take the setting's part
+    sizes = sizes_of(*seen, by, start=sizes_of(*seen, COMMON))[0]
     turns = np.hstack([np.diag(slope[:, channel]) for channel in turned])
     return np.asarray(sizes[turned[0]] * np.eye(len(alike)) + sizes[3] * turns.T @ turns)
 
