@@ -10,29 +10,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc
 
-from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.base.arrays import Floats, Mask
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
-from bench.calibration.gls import noise_floor
-from bench.calibration.intrinsic import INTRINSIC, intrinsic
-from bench.calibration.noise import scatter_of_repeats
-from bench.calibration.result import CalibrationError, through
+from bench.calibration.intrinsic import INTRINSIC
+from bench.calibration.result import CalibrationError, through, widening
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.measured import nine_of
-from bench.model.geometry import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
     ALIKE_P,
+    EXACT,
     Centre,
     ChartDesign,
     Components,
     DriftSeen,
     JudgedDeviations,
     ShortTerm,
+    StatedDof,
     centre_of,
     components_of,
     drift_of,
@@ -41,7 +39,6 @@ from bench.stats.control_charts import (
     short_term,
     without_one,
 )
-from bench.stats.repeats_likelihood import sizes_of
 
 FEW_RUNS = 8
 """With fewer baseline runs, a note says that the limits are wide."""
@@ -163,7 +160,8 @@ class CheckRun:
     `meters` are the identities of the voltmeters. `of_meters` (12, 12) is the covariance due to their limits of
     error; it counts if no baseline run used these voltmeters, or if a `Reference` replaces the baseline. `lasting`
     (12, 12) is the covariance of all other errors that do not vary from run to run. `names` are the names of the
-    values, unless these are the twelve coefficients or the nine intrinsic numbers.
+    values, unless these are the twelve coefficients or the nine intrinsic numbers. `place` is the local g of the
+    run, m/s², and `of_gravity` (12,) the change of its values with one u of this g: runs at one place share it.
     """
 
     name: str
@@ -178,6 +176,8 @@ class CheckRun:
     of_meters: Floats
     lasting: Floats
     names: tuple[str, ...] = ()
+    place: float = 0.0
+    of_gravity: Floats | float = 0.0
 
     def in_nine(self) -> CheckRun:
         """Return the run in the nine intrinsic numbers.
@@ -193,6 +193,7 @@ class CheckRun:
             noise=np.sqrt(J**2 @ self.noise**2),
             of_meters=through(J, self.of_meters),
             lasting=through(J, self.lasting),
+            of_gravity=J @ np.broadcast_to(self.of_gravity, self.value.shape),
         )
 
 
@@ -347,8 +348,9 @@ def control_chart(
     size = len(baseline[0].value if reference is None else reference.value)
     runs = _Runs(baseline, later, float(begun), drift or KnownDrift(np.zeros(size), np.zeros(size)), design)
     if reference is None:
-        centre = centre_of(runs.values(baseline), runs.covariances(baseline), design.basis)
-        alone = without_one(runs.values(baseline), runs.covariances(baseline), design.basis)
+        of_baseline = runs.values(baseline), runs.covariances(baseline), design.basis, runs.stated()
+        centre = centre_of(*of_baseline, runs.places)
+        alone = without_one(*of_baseline) if runs.places is None else None
     else:
         # lasting errors of this bench are part of every difference from a reference measured on another bench
         lasting = np.mean([run.lasting + run.of_meters for run in (*baseline, *later)], axis=0)
@@ -396,6 +398,20 @@ class _Runs:
         """Return the pooled covariance of each run, (n, 12, 12)."""
         return np.array([self._pooled[run.design] for run in runs])
 
+    def stated(self) -> StatedDof:
+        """Return the degrees of freedom of the noise behind the stated u of the baseline."""
+        dof = np.array([run.s_dof for run in self.baseline])
+        # without degrees of freedom, the noise was given
+        if not dof.all():
+            return EXACT
+        return StatedDof(float(dof.sum()), float(np.mean([widening(own) ** 2 for own in dof])))
+
+    @cached_property
+    def places(self) -> Mask | None:
+        """Whether each run of the baseline was at each of its places, (m, k); None for one place."""
+        place, own = np.unique([run.place for run in self.baseline], return_inverse=True)
+        return own[:, None] == np.arange(len(place)) if len(place) > 1 else None
+
     def ewma(
         self, centre: Centre, shewhart: JudgedDeviations, restarted: datetime | None
     ) -> JudgedDeviations:
@@ -418,7 +434,7 @@ class _Runs:
             return JudgedDeviations(rows, rows, rows, rows, np.zeros(0), np.zeros(0))
         # change of the values if the drift rate of one coefficient is wrong by one u
         of_drift = self.years(runs)[:, None, None] * np.diag(self.known.u)
-        shared = np.concatenate([of_drift, self._other_meters(runs)], axis=2)
+        shared = np.concatenate([of_drift, self._other_meters(runs), self._other_places(runs)], axis=2)
         return judge(
             centre, self.values(runs), self.covariances(runs), smoothing, shared if shared.any() else None
         )
@@ -433,6 +449,18 @@ class _Runs:
             parts.append(_root(2.0 * run.of_meters) if other else np.zeros_like(run.of_meters))
         return np.array(parts)
 
+    def _other_places(self, runs: Sequence[CheckRun]) -> Floats:
+        """Return the changes (n, 12, k) of the deviations with one u of g at each of k places.
+
+        The baseline has an error of g in the part of its runs that were at this place.
+        """
+        here = self.baseline or self.later[:1]
+        first = {run.place: run for run in (*here, *runs)}
+        of = [[float(run.place == place) for place in first] for run in runs]
+        centre = np.mean([[run.place == place for place in first] for run in here], axis=0)
+        size = np.array([np.broadcast_to(run.of_gravity, run.value.shape) for run in first.values()])
+        return np.asarray((np.array(of) - centre)[:, None, :] * size.T)
+
     def short_term(self) -> ShortTerm | None:
         behind = [run for run in self.baseline if run.s_dof > 0]
         if not behind or not self.later:
@@ -444,7 +472,7 @@ class _Runs:
 
     def components(self) -> Components | None:
         runs, size = self.baseline, len(self.known.u)
-        if len(runs) < least_runs("scaled", size) or len({run.design for run in runs}) > 1:
+        if len(runs) < least_runs("scaled", size) or len({(run.design, run.place) for run in runs}) > 1:
             return None
         noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
         return components_of(self.values(runs), self.covariances(runs)[0], noise)
@@ -453,11 +481,11 @@ class _Runs:
         """Return the drift of the baseline and accepted runs in excess of the known drift.
 
         The u of the result includes the u of the known drift. The result is None if the runs are too few, their
-        time span is too short, or their meters differ.
+        time span is too short, or their meters or places differ.
         """
         accepted = shewhart.p_joint >= self.design.alpha
         runs = [*self.baseline, *(run for run, good in zip(self.later, accepted, strict=True) if good)]
-        if len(runs) < LEAST_FOR_DRIFT or len({run.meters for run in runs}) > 1:
+        if len(runs) < LEAST_FOR_DRIFT or len({(run.meters, run.place) for run in runs}) > 1:
             return None
         years = np.array([run.when.timestamp() for run in runs]) / SECONDS_PER_YEAR
         if np.ptp(years) < LEAST_SPAN_YEARS:
@@ -473,111 +501,3 @@ def _root(covariance: Floats) -> Floats:
     """Return a square root of a covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(covariance)
     return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
-
-
-# --- monitor runs: a few positions over days -------------------------------------------------------------
-
-
-LEAST_G: Final = 0.9
-"""Least specific force, g, upwards and downwards, at which an axis counts as turned."""
-BASELINE: Final = 5
-LEAST_BASELINE: Final = 3
-
-
-def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
-    """Return a check run with the bias (g) and the scale factor of each axis that was read up and down.
-
-    With two such axes, it also has the angle (deg) between them. `signal` (n, 3) was read at the nominal specific
-    force `force` (n, 3), g. The u follows from the scatter. Raises `CalibrationError` unless there are one or
-    two such axes, and enough readings for u.
-    """
-    up, down = force.max(axis=0, initial=0.0) > LEAST_G, force.min(axis=0, initial=0.0) < -LEAST_G
-    turned = np.flatnonzero(up & down)
-    columns = np.column_stack([np.ones(len(force)), force[:, turned]])
-    if not len(turned) or len(turned) > 2 or len(force) <= columns.shape[1]:
-        raise CalibrationError(
-            f"{name}: a monitor needs one or two axes up and down, twice, in one installation; run monitor-2 or "
-            "monitor-4"
-        )
-    own = signal[:, turned]
-    solver = np.linalg.pinv(columns)
-    found = solver @ signal
-    left = signal - columns @ found
-    dof = float(own.size - found[:, turned].size)
-    s = float(np.sqrt(np.sum(left[:, turned] ** 2) / dof))
-    between = s**2 * np.eye(own.size)
-    if len(turned) > 1:
-        between = _with_settings(between, signal, force, found, turned)
-    solvers = np.kron(np.eye(len(turned)), solver)
-    unseen = np.kron(np.eye(len(turned)), columns @ solver)
-    residual = between - unseen @ between - between @ unseen + unseen @ between @ unseen
-    if np.any(residual):
-        # errors of settings leave scatter in fewer readings than noise does (Satterthwaite)
-        dof = float(np.trace(residual) ** 2 / np.sum(residual**2))
-    # As in the calibration of a block; an axis that was not turned is a unit vector without uncertainty.
-    block, covariance = Block(np.eye(3), np.zeros(3)), np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
-    for channel in turned:
-        block.U0[channel], block.K[channel, turned] = found[0, channel], found[1:, channel]
-    places = [place for channel in turned for place in (9 + channel, *(3 * channel + turned))]
-    covariance[np.ix_(places, places)] = solvers @ between @ solvers.T
-    nine, letters = intrinsic(block, covariance), [CHANNELS[k] for k in turned]
-    names = [name for letter in letters for name in (f"b{letter}", f"S{letter}")]
-    names += [f"theta_{''.join(letters)}"] * (len(letters) == 2)
-    kept = [nine.names.index(name) for name in names]
-    spread = nine.covariance[np.ix_(kept, kept)]
-    none = np.zeros_like(spread)
-    return CheckRun(
-        name, when, nine.values[kept], spread, np.sqrt(np.diag(spread)), s, dof, "monitor", (), none, none,
-        tuple(names),
-    )  # fmt: skip
-
-
-SETTINGS_P: Final = 0.05
-"""P-value below which the errors of the head's settings show in the repeats of a run, beside the noise."""
-
-
-def _with_settings(alike: Floats, signal: Floats, force: Floats, found: Floats, turned: Ints) -> Floats:
-    """Return the covariance (2 n, 2 n) of the signals of two turned axes, one axis after the other.
-
-    `found` (3, 3) has the bias and both slopes of each channel. Noise scatters all readings alike, an error of
-    the head's setting only those of a horizontal axis. If repeats do not show it, the covariance is `alike`.
-    """
-    shaft = np.ones(3)
-    shaft[turned] = 0.0
-    slope = np.cross(shaft, force)[:, turned] @ found[1:]
-    left = signal - found[0] - force[:, turned] @ found[1:]
-    _, repeats = np.unique(np.round(force, 3) + 0.0, axis=0, return_inverse=True)
-    scatter = scatter_of_repeats(left, slope, repeats.ravel())
-    if not scatter.settings:
-        return alike
-    along = scatter.slope / np.linalg.norm(scatter.slope, axis=1)[:, None]
-    moved = float(np.einsum("gi,gij,gj->", along, scatter.matrix, along))
-    still = float(np.einsum("gii->", scatter.matrix)) - moved
-    # the scatter of three signals has one component along the slope, two across it
-    if fdtrc(scatter.settings, 2 * scatter.settings, 2.0 * moved / max(still, 1e-300)) > SETTINGS_P:
-        return alike
-    by = np.zeros((4, 3))
-    by[turned, 0] = by[np.flatnonzero(shaft), 1] = by[3, 2] = 1.0
-    floor = noise_floor(signal, 0.0)
-    sizes = sizes_of(scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, by)[0]
-    turns = np.hstack([np.diag(slope[:, channel]) for channel in turned])
-    return np.asarray(sizes[turned[0]] * np.eye(len(alike)) + sizes[3] * turns.T @ turns)
-
-
-def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> ControlChart:
-    """Return the control chart of monitor runs; the first `baseline` of them, by date, set its limits.
-
-    Raises `CalibrationError` if the runs are too few or watch different axes.
-    """
-    ordered = sorted(runs, key=lambda run: run.when)
-    other = next((run for run in ordered if run.names != ordered[0].names), None)
-    if other is not None:
-        raise CalibrationError(
-            f"{ordered[0].name} and {other.name} turned different axes; chart runs of one monitor procedure"
-        )
-    if len(ordered[:baseline]) < LEAST_BASELINE:
-        raise CalibrationError(
-            f"{len(ordered[:baseline])} runs are too few to set the limits; name {LEAST_BASELINE} runs or more, "
-            "and a baseline of as many"
-        )
-    return control_chart(ordered[:baseline], ordered[baseline:], ChartDesign())

@@ -140,7 +140,7 @@ class NineChart(ResultModel):
 
     centre: dict[str, ValuePart] = Field(description="centre lines, in unit/g, degrees and g")
     scale: float = Field(description="factor on the stated u")
-    dof: Real = Field(description="degrees of freedom of `scale`; null if the stated u is used unchanged")
+    dof: Real = Field(description="degrees of freedom of `scale`, or of the stated u; null if known")
     limits_from: Basis
     limits: LimitsPart
     runs: dict[str, NineRun] = Field(description="statistics of each run, by its name")
@@ -161,7 +161,7 @@ class ChartResult(ResultModel):
     reference: str | None = Field(description="result file used in place of the baseline; null if none")
     centre: dict[str, ValuePart] = Field(description="centre line of each coefficient")
     scale: float = Field(description="factor on the stated u")
-    dof: Real = Field(description="degrees of freedom of `scale`; null if the stated u is used unchanged")
+    dof: Real = Field(description="degrees of freedom of `scale`, or of the stated u; null if known")
     limits: LimitsPart
     runs: list[ChartedRun] = Field(description="runs after the baseline, oldest first")
     components: ComponentsPart | None

@@ -23,7 +23,7 @@ from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_ARL, CheckBlockSection
 from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
-from bench.history.measured import to_gravity
+from bench.history.measured import of_gravity, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
@@ -85,24 +85,29 @@ class CheckValues:
             meters_limits=self.meters_limits * both,
         )
 
-    def check_run(self, between_runs: Sequence[str]) -> CheckRun:
-        """Return these values as a run of a control chart; errors in `between_runs` vary from run to run."""
-        nothing = np.zeros_like(self.readings)
-        own = [one for name, one in self.sources.items() if name.partition("[")[0] in between_runs]
-        everything = sum(self.sources.values(), nothing)
+    def check_run(self, between_runs: Sequence[str], g_m_s2: float) -> CheckRun:
+        """Return these values as a run of a control chart, with K per g of `g_m_s2`, m/s².
+
+        Errors in `between_runs` vary from run to run.
+        """
+        here, nothing = self.per(g_m_s2), np.zeros_like(self.readings)
+        own = [one for name, one in here.sources.items() if name.partition("[")[0] in between_runs]
+        everything = sum(here.sources.values(), nothing)
         fresh = sum(own, nothing)
         return CheckRun(
             self.name,
             self.when,
-            self.value,
-            self.readings + fresh,
-            self.noise,
+            here.value,
+            here.readings + fresh,
+            here.noise,
             self.s,
             self.s_dof,
             self.design,
             self.meters,
-            self.meters_limits,
-            everything - fresh - self.meters_limits,
+            here.meters_limits,
+            everything - fresh - here.meters_limits,
+            place=self.g_m_s2,
+            of_gravity=of_gravity(here.value, self.gravity_u),
         )
 
 
@@ -205,10 +210,10 @@ def chart_of(
     if away := [one.name for one in values if one.g_m_s2 != g]:
         notes = (
             *notes,
-            f"local gravity differs from that of {values[0].name}: {listed(away)}; the limits leave out the u of "
-            "both values of g; chart the runs of one place",
+            f"local gravity differs from that of {values[0].name}: {listed(away)}; between places, the limits "
+            "include the u of both values of g; runs of one place show smaller changes",
         )
-    taken = {one.name: one.per(g).check_run(section.between_runs) for one in values}
+    taken = {one.name: one.check_run(section.between_runs, g) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
     try:
         (nine, on_basis), (twelve, _) = (
@@ -238,7 +243,9 @@ def _charted(
         reference = None if reference is None else reference.in_nine()
         baseline, later = ([run.in_nine() for run in runs] for runs in (baseline, later))
     count = len(INTRINSIC if in_nine else COEFFICIENTS)
-    basis, on_basis = _basis(section.limits, len(baseline), reference, count)
+    # one run of each further place shows no scatter
+    alike = len(baseline) - max(len({run.place for run in baseline}) - 1, 0)
+    basis, on_basis = _basis(section.limits, alike, reference, count)
     design = ChartDesign(_arl(section), section.smoothing if smoothing is None else smoothing, basis)
     begin = section.restarted
     restarted = None if begin is None else datetime.combine(begin, time()).astimezone()
@@ -314,8 +321,7 @@ def _parts(
         return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2, gravity_u)
     if section.reference:
         named = [
-            taken.get(name)
-            or check_values(find_run(name, folder)).per(g_m_s2).check_run(section.between_runs)
+            taken.get(name) or check_values(find_run(name, folder)).check_run(section.between_runs, g_m_s2)
             for name in section.reference
         ]
         names = {run.name for run in named}

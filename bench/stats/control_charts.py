@@ -12,7 +12,7 @@ makes its quadrature quick).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, Final, Literal
 
@@ -20,7 +20,7 @@ import numpy as np
 import scipy
 from scipy import special
 
-from bench.base.arrays import Floats, u_of
+from bench.base.arrays import Floats, Mask, u_of
 from bench.base.computing import CalibrationError
 
 NODES: Final = 96
@@ -114,8 +114,8 @@ class Centre:
 
     `value` (…, p) of p coefficients has the `covariance` (p, p). `scale` (…,) is the factor on the stated
     covariance: 1 if the stated u is used, else the squared Birge ratio. `scatter` (…, p, p) is the sample
-    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale` or `scatter`,
-    infinite if the stated u is used. Leading axes are separate charts.
+    covariance if the limits rest on it alone, else None. `dof` are the degrees of freedom of `scale`, of `scatter`,
+    or of the stated covariance, which is `widened` for them by this factor. Leading axes are separate charts.
     """
 
     value: Floats
@@ -124,6 +124,7 @@ class Centre:
     dof: float
     runs: int
     scatter: Floats | None = None
+    widened: float = 1.0
 
     @property
     def dimensions(self) -> int:
@@ -134,7 +135,7 @@ class Centre:
         """Return the two-sided p-values of deviations `z` of one coefficient, in units of its u."""
         if np.isinf(self.dof):
             return np.asarray(special.erfc(np.abs(z) / np.sqrt(2.0)))
-        return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z)))
+        return np.asarray(2.0 * special.stdtr(self.dof, -np.abs(z) * np.sqrt(self.widened)))
 
     def p_joint(self, t2: Floats) -> Floats:
         """Return the p-values of joint statistics T² `t2`, of the same shape."""
@@ -142,7 +143,7 @@ class Centre:
         if np.isinf(self.dof):
             return np.asarray(special.chdtrc(p, t2))
         if self.scatter is None:
-            return np.asarray(special.fdtrc(p, self.dof, t2 / p))
+            return np.asarray(special.fdtrc(p, self.dof, self.widened * t2 / p))
         left = self.dof - p + 1.0
         return np.asarray(special.fdtrc(p, left, t2 * left / (p * self.dof)))
 
@@ -150,7 +151,7 @@ class Centre:
         """Return the deviation, in u of one coefficient, that chance exceeds in either sign with `probability`."""
         if np.isinf(self.dof):
             return float(-special.ndtri(0.5 * probability))
-        return float(-special.stdtrit(self.dof, 0.5 * probability))
+        return float(-special.stdtrit(self.dof, 0.5 * probability) / np.sqrt(self.widened))
 
     def joint_limit(self, probability: float) -> float:
         """Return the joint statistic T² that chance exceeds with `probability`."""
@@ -158,7 +159,7 @@ class Centre:
         if np.isinf(self.dof):
             return float(special.chdtri(p, probability))
         if self.scatter is None:
-            return float(p * special.fdtri(p, self.dof, 1.0 - probability))
+            return float(p * special.fdtri(p, self.dof, 1.0 - probability) / self.widened)
         left = self.dof - p + 1.0
         return float(p * self.dof / left * special.fdtri(p, left, 1.0 - probability))
 
@@ -178,6 +179,21 @@ class JudgedDeviations:
     p_joint: Floats
 
 
+@dataclass(frozen=True)
+class StatedDof:
+    """The degrees of freedom `dof` of the noise behind a stated covariance, which is `widened` for them."""
+
+    dof: float = np.inf
+    widened: float = 1.0
+
+    def part(self, share: float) -> StatedDof:
+        """Return the degrees of freedom of a `share` of the runs."""
+        return replace(self, dof=share * self.dof)
+
+
+EXACT: Final = StatedDof()
+
+
 def least_runs(basis: Basis, dimensions: int) -> int:
     """Return the least number of runs in a baseline for control limits from `basis`.
 
@@ -186,30 +202,41 @@ def least_runs(basis: Basis, dimensions: int) -> int:
     return {"stated": 1, "scaled": 3, "scatter": dimensions + 2}[basis]
 
 
-def centre_of(values: Floats, covariances: Floats, basis: Basis) -> Centre:
+def centre_of(
+    values: Floats,
+    covariances: Floats,
+    basis: Basis,
+    stated: StatedDof = EXACT,
+    places: Mask | None = None,
+) -> Centre:
     """Return the centre of a chart from baseline runs (…, m, p) with stated covariances (m, p, p).
 
-    Raises `CalibrationError` if control limits from `basis` need more runs.
+    `stated` counts only if the limits are from stated u. `places` (m, k) marks the place of each run, if there are
+    several: scatter between them is none of the runs. Raises `CalibrationError` if control limits from `basis` need
+    more runs.
     """
     runs, p = values.shape[-2:]
-    if runs < (least := least_runs(basis, p)):
+    alike = runs - (0 if places is None else places.shape[1] - 1)
+    if alike < (least := least_runs(basis, p)):
         raise CalibrationError(
-            f"limits from '{basis}' need a baseline of {least} runs for {p} coefficients, and there are {runs}; "
+            f"limits from '{basis}' need a baseline of {least} runs for {p} coefficients, and there are {alike}; "
             "measure the check block more often, or choose limits from 'stated'"
         )
+    same = np.ones((runs, runs)) if places is None else 1.0 * (places @ places.T)
+    own = values - same / same.sum(axis=1, keepdims=True) @ values
     if basis == "scatter":
         mean = values.mean(axis=-2)
-        left = values - mean[..., None, :]
-        sample = np.swapaxes(left, -1, -2) @ left / (runs - 1)
+        sample = np.swapaxes(own, -1, -2) @ own / (alike - 1)
         one = np.ones(values.shape[:-2])
-        return Centre(mean, np.zeros((p, p)), one, runs - 1.0, runs, sample)
+        return Centre(mean, np.zeros((p, p)), one, alike - 1.0, runs, sample)
     weights = np.linalg.inv(covariances)
     covariance = np.linalg.inv(weights.sum(axis=0))
     mean = np.einsum("...mp,mpq->...q", values, weights) @ covariance
-    left = values - mean[..., None, :]
     if basis == "stated":
-        return Centre(mean, covariance, np.ones(values.shape[:-2]), np.inf, runs)
-    dof = p * (runs - 1.0)
+        one = np.ones(values.shape[:-2])
+        return Centre(mean, covariance, one, stated.dof, runs, widened=stated.widened)
+    left = values - mean[..., None, :] if places is None else own
+    dof = p * (alike - 1.0)
     scale = np.einsum("...mp,mpq,...mq->...", left, weights, left) / dof
     return Centre(mean, covariance, scale, dof, runs)
 
@@ -257,10 +284,12 @@ def judge(
     return JudgedDeviations(deviation, u, z, centre.p_single(z), t2, centre.p_joint(t2))
 
 
-def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | None:
+def without_one(
+    values: Floats, covariances: Floats, basis: Basis, stated: StatedDof = EXACT
+) -> Floats | None:
     """Return the p-values (m,) of a joint test of each run of a baseline (m, p) against all its other runs.
 
-    Return None if these are fewer than `least_runs`.
+    `stated` is that of all runs. Return None if these are fewer than `least_runs`.
     """
     runs, p = values.shape
     if runs - 1 < least_runs(basis, p) or runs < 2:
@@ -268,7 +297,7 @@ def without_one(values: Floats, covariances: Floats, basis: Basis) -> Floats | N
     found = []
     for k in range(runs):
         rest = np.arange(runs) != k
-        centre = centre_of(values[rest], covariances[rest], basis)
+        centre = centre_of(values[rest], covariances[rest], basis, stated.part(1.0 - 1.0 / runs))
         found.append(float(judge(centre, values[[k]], covariances[[k]]).p_joint[0]))
     return np.array(found)
 

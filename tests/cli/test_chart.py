@@ -232,7 +232,11 @@ def test_runs_of_two_places_get_a_note(there, monkeypatch):
         check_block, "check_values", lambda run: own(run).per(9.83) if run.name == "check-1" else own(run)
     )
     found = chart_of(runs, there.check_block)
-    assert "local gravity differs from that of check-0: check-1; the limits leave out" in found.notes[0]
+    assert (
+        "gravity differs from that of check-0: check-1; between places, the limits include" in found.notes[0]
+    )
+    places = {run.name: run.place for run in (*found.twelve.baseline, *found.twelve.later)}
+    assert {name for name, place in places.items() if place == 9.83} == {"check-1"}
 
 
 def test_from_python_it_is_the_same_chart(there):

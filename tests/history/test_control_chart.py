@@ -80,7 +80,8 @@ def test_noise_is_judged_by_itself():
 
 def test_limits_come_closer_with_more_runs_and_are_those_of_known_u_in_the_end():
     limits = [control_chart(runs(count), [], ChartDesign()).limit_t2 for count in (3, 5, 10, 60)]
-    believed = control_chart(runs(3), [], ChartDesign(basis="stated"))
+    known = [replace(run, s_dof=0.0) for run in runs(3)]
+    believed = control_chart(known, [], ChartDesign(basis="stated"))
     assert limits == sorted(limits, reverse=True)
     assert limits[-1] > believed.limit_t2 > 0.95 * limits[-1]
 
@@ -203,3 +204,46 @@ def test_a_drift_that_the_runs_show_is_expected_to_continue():
     assert value[5] - 2.0 == pytest.approx(2 * slope[5], rel=0.02)
     assert abs(value[4] - 2.0) < 3 * U[4]
     assert covariance[5, 5] > chart.expected(BEGUN + timedelta(days=400))[1][5, 5]
+
+
+@pytest.mark.parametrize("baseline", [1, 2])
+def test_stated_u_of_a_noise_from_few_readings_rejects_no_more_good_runs_than_stated(baseline):
+    """The noise of each run has 22 degrees of freedom, for which its u is widened, as a calibration states it."""
+    rng, dof, count = np.random.default_rng(17), 22.0, 20_000
+    design = ChartDesign(arl=10.0, basis="stated")
+    chart = control_chart([check_run(float(k), s_dof=dof) for k in range(baseline)], [check_run(9.0)], design)
+    s2 = rng.chisquare(dof, (count, baseline)).mean(axis=1) / dof * dof / (dof - 2)
+    deviation = rng.normal(size=(count, 12)) - rng.normal(size=(count, 12)) / np.sqrt(baseline)
+    t2 = np.sum(deviation**2, axis=1) / (s2 * (1 + 1 / baseline))
+    rejected, nominal = np.mean(t2 > chart.limit_t2), 1 / 30
+    assert rejected == pytest.approx(nominal, abs=4 * np.sqrt(nominal / count))
+    one = np.mean(np.abs(deviation[:, 0]) / np.sqrt(s2 * (1 + 1 / baseline)) > chart.limit_single)
+    assert one == pytest.approx(nominal / 12, abs=4 * np.sqrt(nominal / 12 / count))
+    assert chart.centre.p_joint(chart.limit_t2) == pytest.approx(nominal)
+
+
+def at_two_places(seed: int, baseline: list[int], design: ChartDesign):
+    """The chart of runs at two places, whose values of g are wrong; 0 and 1 are the places of the baseline."""
+    rng, of_g = np.random.default_rng(seed), np.where(np.arange(12) < 4, 10 * U, 0.0)
+    wrong = rng.normal(size=2)
+    own = [
+        check_run(
+            float(k),
+            rng.normal(size=12) + wrong[place] * of_g / U,
+            place=9.81 + 0.01 * place,
+            of_gravity=of_g,
+        )
+        for k, place in enumerate([*baseline, 0, 1])
+    ]
+    return control_chart(own[:-2], own[-2:], design)
+
+
+@pytest.mark.parametrize("basis", ["stated", "scaled"])
+@pytest.mark.parametrize("baseline", [[0, 0, 0, 0, 0], [0, 0, 1, 0, 1, 1]])
+def test_runs_of_another_place_are_judged_with_the_u_of_both_values_of_g(basis, baseline):
+    design, count = ChartDesign(basis=basis), 100
+    charts = [at_two_places(seed, baseline, design) for seed in range(count)]
+    for run in (0, 1):
+        below = sum(chart.shewhart.p_joint[run] < 0.1 for chart in charts)
+        assert below == pytest.approx(0.1 * count, abs=4 * np.sqrt(0.09 * count))
+    assert np.mean([chart.centre.scale for chart in charts]) == pytest.approx(1.0, abs=0.1)
