@@ -265,6 +265,14 @@ class Share:
         return f"{100 * self.part:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
 
 
+def shares(marks: Iterable[Mapping[str, bool | None]]) -> dict[str, Share]:
+    """Return for each column the share of marks that are right; a mark of None does not count."""
+    columns: dict[str, list[bool]] = {}
+    for name, value in (pair for one in marks for pair in one.items()):
+        columns.setdefault(name, []).extend([] if value is None else [bool(value)])
+    return {name: Share(sum(values), len(values)) for name, values in columns.items()}
+
+
 def rms(z: Floats, axis: int | None = 0) -> Any:
     """Return the root mean square, by default of each column."""
     return np.sqrt(np.mean(np.square(z), axis=axis))

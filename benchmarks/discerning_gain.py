@@ -9,7 +9,7 @@ compares procedures, and does not predict how well effects of a real bench are n
 """
 
 import re
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import subspace_angles
@@ -28,7 +28,7 @@ from bench.diagnosis.posterior import NoiseSize
 from bench.diagnosis.visibility import EffectPart, Form, ReadingDesign
 from bench.model import CATALOGUE, ForwardModel
 from bench.readings.table import UNORIENTED, VERIFICATION
-from benchmarks.campaign import Row, arguments, markdown
+from benchmarks.campaign import Row, Share, arguments, markdown, shares
 
 PROCEDURES = ("paper", "calibration", "discerning")
 FOR_TIES = (*PROCEDURES, "turn-12", "turn-24", "remount-90")
@@ -66,29 +66,16 @@ def form_of(text: str) -> Form:
     return tuple(EffectPart(family, parameter, shape, mounts, channel) for channel in where)
 
 
-@dataclass
-class Score:
-    """Counts over all draws, such as effects named, and effects named without a tie."""
-
-    draws: int = 0
-    named: int = 0
-    in_set: int = 0
-    alone: int = 0
-    alone_right: int = 0
-    set_size: int = 0
-
-    def add(self, found: tuple[FoundEffect, ...], truth: str) -> None:
-        self.draws += 1
-        of_catalogue = [f for f in found if f.variant.named]
-        if not of_catalogue or len(of_catalogue) < len(found):
-            return
-        sets = [{f.variant.family, *f.ties} for f in of_catalogue]
-        self.named += 1
-        self.in_set += any(truth in names for names in sets)
-        self.set_size += len(sets[0])
-        if len(sets) == 1 and len(sets[0]) == 1:
-            self.alone += 1
-            self.alone_right += truth in sets[0]
+def judged(found: tuple[FoundEffect, ...], truth: str) -> tuple[dict[str, bool | None], int]:
+    """Return the marks of what was found, and the number of possible names of the first effect."""
+    sets = [{f.variant.family, *f.ties} for f in found if f.variant.named]
+    named = 0 < len(sets) == len(found)
+    alone = named and len(sets) == len(sets[0]) == 1
+    marks = {
+        "named": named, "in the set": any(truth in names for names in sets) if named else None,
+        "alone": alone, "right": truth in sets[0] if alone else None,
+    }  # fmt: skip
+    return marks, len(sets[0]) if named else 0
 
 
 class Trial:
@@ -112,13 +99,14 @@ class Trial:
         apart = {VERIFICATION, *UNORIENTED}
         return sum(isinstance(s, Read) and s.installation not in apart for s in self.plan.steps)
 
-    def score(self, draws: int, seed: int) -> Score:
+    def score(self, draws: int, seed: int) -> tuple[dict[str, Share], int]:
+        """Return the shares of marks over all draws, and the number of possible names of all named effects."""
         candidates = make_candidates(self.linear, SIGMA_V)
         grid = make_noise_grid(self.linear, SIGMA_V, self.setting_rad)
         whitened = Whitened.of(grid, candidates)
         threshold = make_threshold(self.linear, whitened)
         forms = {family: [v for v in candidates.variants if v.family == family] for family in CATALOGUE}
-        score = Score()
+        marks, names = [], 0
         for number in range(draws):
             rng = np.random.default_rng([seed, number])
             family = list(CATALOGUE)[rng.integers(len(CATALOGUE))]
@@ -129,16 +117,18 @@ class Trial:
                 columns = candidates.columns[:, list(form.columns)]
                 response = response + columns @ (size * rng.standard_normal(columns.shape[1]))
             found = name(whitened, whitened.reduce(response[:, None]), threshold).found
-            score.add(found, family)
-        return score
+            mark, size = judged(found, family)
+            marks.append(mark)
+            names += size
+        return shares(marks), names
 
     def row(self, draws: int, seed: int) -> Row:
         """Return the table row of a procedure: number of settings, hours, and counts."""
-        s = self.score(draws, seed)
+        of, names = self.score(draws, seed)
         return (
-            self.settings, f"{self.plan.expected_duration_s() / 3600.0:.1f}", f"{s.named / s.draws:.2f}",
-            f"{s.in_set / max(s.named, 1):.3f}", f"{s.set_size / max(s.named, 1):.2f}", f"{s.alone / s.draws:.2f}",
-            f"{s.alone_right / max(s.alone, 1):.3f}",
+            self.settings, f"{self.plan.expected_duration_s() / 3600.0:.1f}",
+            f"{of['named'].part:.2f}", f"{of['in the set'].part:.3f}",
+            f"{names / max(of['named'].successes, 1):.2f}", f"{of['alone'].part:.2f}", f"{of['right'].part:.3f}",
         )  # fmt: skip
 
     def cosine(self, one: Form, other: Form) -> float:

@@ -24,6 +24,10 @@ from pathlib import Path
 from statistics import median
 from typing import Final
 
+import numpy as np
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+
 from benchmarks.campaign import ROOT, arguments
 
 PRODUCT: Final = ("bench", "drivers", "sim")
@@ -146,32 +150,14 @@ def modules() -> dict[str, Module]:
 
 
 def circles(edges: Mapping[str, Iterable[str]]) -> list[list[str]]:
-    """Return the strongly connected components with more than one module (Tarjan 1972), largest first."""
-    found: list[list[str]] = []
-    index: dict[str, int] = {}
-    low: dict[str, int] = {}
-    stack: list[str] = []
-
-    def visit(name: str) -> None:
-        index[name] = low[name] = len(index)
-        stack.append(name)
-        for other in edges[name]:
-            if other not in index:
-                visit(other)
-                low[name] = min(low[name], low[other])
-            elif other in stack:
-                low[name] = min(low[name], index[other])
-        if low[name] == index[name]:
-            at = stack.index(name)
-            component = stack[at:]
-            del stack[at:]
-            if len(component) > 1:
-                found.append(sorted(component))
-
-    for name in edges:
-        if name not in index:
-            visit(name)
-    return sorted(found, key=len, reverse=True)
+    """Return the strongly connected components with more than one module, largest first."""
+    names = sorted(edges)
+    place = {name: k for k, name in enumerate(names)}
+    rows, columns = np.array([(place[one], place[other]) for one in names for other in edges[one]]).T
+    graph = csr_array((np.ones(len(rows)), (rows, columns)), shape=(len(names), len(names)))
+    label = connected_components(graph, connection="strong")[1]
+    components = ([names[k] for k in np.flatnonzero(label == one)] for one in np.unique(label))
+    return sorted((one for one in components if len(one) > 1), key=len, reverse=True)
 
 
 def print_rooms(known: Mapping[str, Module], since: str) -> None:

@@ -25,14 +25,12 @@ import numpy as np
 from scipy import stats
 
 from bench.base.arrays import Floats
-from bench.calibration import calibrate
-from bench.calibration.intrinsic import INTRINSIC, intrinsic
+from bench.calibration.intrinsic import INTRINSIC
 from bench.history.equivalence import Drift, LaboratoryJudged, against_others, transport_dark
 from bench.results.interlaboratory import CHANGED_P
 from bench.stats import holm
 from benchmarks.campaign import arguments, finish, parts_of
-from benchmarks.signed_uncertainty import own
-from tests.support.whole_truth import simulate_whole
+from benchmarks.intrinsic_campaign import nine_of
 
 LABORATORIES: Final = 5
 OFF: Final = 6.0
@@ -45,14 +43,9 @@ RETURNS: Final = 2
 
 def round_of(seed: int, number: int) -> tuple[Floats, Floats]:
     """Return a block's nine numbers (stops, 9), covariances (stops, 9, 9); the pilot's returns are last."""
-    values, covariances, bench = [], [], own("roll")
-    for k in range(LABORATORIES + RETURNS):
-        drawn = simulate_whole(np.random.default_rng([seed, number, k]), "roll")
-        found = calibrate(drawn.readings, bench.model, bench.stand_u, 9.81, assumed_u=bench.assumed)
-        nine = intrinsic(found.block, found.covariance)
-        values.append(nine.values)
-        covariances.append(nine.covariance)
-    return np.array(values), np.array(covariances)
+    stops = (np.random.default_rng([seed, number, k]) for k in range(LABORATORIES + RETURNS))
+    nines = [nine_of(rng)[1] for rng in stops]
+    return np.array([nine.values for nine in nines]), np.array([nine.covariance for nine in nines])
 
 
 def judged(values: Floats, covariances: Floats) -> tuple[list[LaboratoryJudged], list[Drift]]:

@@ -35,7 +35,7 @@ from scipy import stats
 from bench.base.arrays import Floats
 from bench.calibration import calibrate
 from bench.calibration.intrinsic import INTRINSIC, intrinsic, joint_factor, least_dof
-from bench.calibration.result import Calibration
+from bench.calibration.result import Calibration, Derived
 from bench.history.comparison import CHANGED_P, Snapshot, compare
 from bench.model import Block
 from bench.validation.paper_bench import U0, K
@@ -52,18 +52,22 @@ MOST_FALSE: Final = 0.065
 TODAY: Final = datetime(2026, 1, 1, tzinfo=UTC)
 
 
+def nine_of(rng: np.random.Generator, change: Floats | None = None) -> tuple[Calibration, Derived, Floats]:
+    """Calibrate a drawn run of the paper's procedure; return its result, the nine, and the true twelve."""
+    bench, drawn = own("roll"), simulate_whole(rng, "roll", change=change)
+    found = calibrate(drawn.readings, bench.model, bench.stand_u, 9.81, assumed_u=bench.assumed)
+    return found, intrinsic(found.block, found.covariance), drawn.truth
+
+
 def run(seed: int, turned: bool, numbers: range) -> tuple[Floats, Floats, Floats, Floats]:
     """Return errors and u of the nine (runs, 9), joint distances / k (runs, 2), changes (runs, 12)."""
     rows = []
-    bench = own("roll")
     for k in numbers:
         rng = np.random.default_rng([seed, int(turned), k])
         change = turn(rng) if turned else np.zeros(12)
-        drawn = simulate_whole(rng, "roll", change=change)
-        found = calibrate(drawn.readings, bench.model, bench.stand_u, 9.81, assumed_u=bench.assumed)
-        nine = intrinsic(found.block, found.covariance)
+        found, nine, truth = nine_of(rng, change)
         error = nine.values - TRUE
-        off = (error, nine.covariance), (found.block.vector - drawn.truth, found.covariance)
+        off = (error, nine.covariance), (found.block.vector - truth, found.covariance)
         dof = found.noise.reading_dof
         apart = [np.sqrt(e @ np.linalg.solve(c, e)) / joint_factor(len(e), dof).k for e, c in off]
         rows.append((error, nine.u, np.array(apart), change))

@@ -30,7 +30,6 @@ from typing import Any, Final
 from unittest import mock
 
 import numpy as np
-from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.calibration import CalibrationError
@@ -47,14 +46,13 @@ from bench.run.folder import Run
 from bench.run.person import mount_prompt
 from bench.services.calibration import calibration_of
 from bench.services.errors import Refused
-from bench.services.execution import carry_out, new_run
-from bench.services.requests.measuring import RunRequest
 from bench.services.source import Request, load_sources
 from benchmarks.campaign import ROOT, Share, arguments, spread
 from benchmarks.mistaken_operator import KINDS, Mistake, MistakenOperator, draw, pass_of
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import CHANNELS
 from sim.world.clock import VirtualClock
+from tests.support.check_runs import dry_run
 
 CLEAN: Final = "clean"
 LARGE: Final = 8.0
@@ -237,18 +235,13 @@ def _carried_out(
     runs: Path, name: str, plan: Plan, seed: int, procedure: str, bench_name: str, mistake: Mistake | None
 ) -> tuple[Run, str]:
     """Carry out a dry run with the mistaken operator; return the run and the reason if it stopped for good."""
-    new = new_run(RunRequest(procedure, bench_name, runs=runs, dry_run=True, seed=seed, name=name))
-    make = partial(MistakenOperator, plan=plan, mistake=mistake)
-    trouble = ""
-    with (
-        Path("/dev/null").open("w") as nowhere,
-        mock.patch("bench.run.assembly.served.ScriptedOperator", make),
-    ):
+    make, trouble = partial(MistakenOperator, plan=plan, mistake=mistake), ""
+    with mock.patch("bench.run.assembly.served.ScriptedOperator", make):
         try:
-            carry_out(Run(new.folder), new.record(), Console(file=nowhere))
+            dry_run(procedure, bench_name, runs, name, seed)
         except Refused as why:
             trouble = str(why)
-    return Run(new.folder), trouble
+    return Run(runs / name), trouble
 
 
 def _difference(run: Run, undisturbed: Run) -> float:

@@ -23,7 +23,6 @@ if a promise is broken.
 
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -106,26 +105,19 @@ def run(seed: int, number: int, noise: float, joint: int) -> tuple[Decided, Deci
     return (Decided(accepted[taken], bad[taken]), Decided(rejected[refused], ~bad[refused]), together)
 
 
-def steps(runs: list[Decided]) -> Iterator[tuple[float, float, int, float, float, float]]:
-    """Yield for each step of the stated risk: its ends, number of decisions, mean risk, fraction wrong, and u."""
-    for low, high in pairwise(STEPS):
-        chosen = [(one.stated >= low) & (one.stated < high) for one in runs]
-        count = sum(int(c.sum()) for c in chosen)
-        if not count:
-            continue
-        stated = sum(float(one.stated[c].sum()) for one, c in zip(runs, chosen, strict=True)) / count
-        wrong = sum(int(one.wrong[c].sum()) for one, c in zip(runs, chosen, strict=True)) / count
-        off = [float((one.wrong[c] - one.stated[c]).sum()) for one, c in zip(runs, chosen, strict=True)]
-        yield low, high, count, stated, wrong, float(np.sqrt(np.sum(np.square(off)))) / count
-
-
 def compared(what: str, runs: list[Decided]) -> list[str]:
-    """Print stated and counted risks; return those that deviate by more than promised."""
+    """Print stated and counted risks for each step; return those that deviate by more than promised."""
     broken = []
     print(f"{what}\n{'stated risk':>14}{'decisions':>11}{'stated':>9}{'wrong':>9}{'±':>9}{'promised':>10}")
-    for low, high, count, stated, wrong, error in steps(runs):
+    for low, high in pairwise(STEPS):
+        chosen = [(one, (one.stated >= low) & (one.stated < high)) for one in runs]
+        sums = np.array([(c.sum(), one.stated[c].sum(), one.wrong[c].sum()) for one, c in chosen])
+        count, stated, wrong = sums.sum(axis=0)
+        if not count:
+            continue
+        stated, wrong, error = stated / count, wrong / count, np.linalg.norm(sums[:, 2] - sums[:, 1]) / count
         allowed = max(0.1 * wrong, 0.002)
-        print(f"{low:7.3f}–{high:<6.3f}{count:11d}{stated:9.4f}{wrong:9.4f}{error:9.4f}{allowed:10.4f}")
+        print(f"{low:7.3f}–{high:<6.3f}{count:11.0f}{stated:9.4f}{wrong:9.4f}{error:9.4f}{allowed:10.4f}")
         if abs(stated - wrong) > allowed + 3 * error:
             broken.append(f"{what}: stated {stated:.4f}, wrong {wrong:.4f} in {low:g}–{high:g}")
     return broken

@@ -13,6 +13,7 @@ from benchmarks.blind_trial.effects import BLOCK, CATALOGUE, CLASS_OF, HIDDEN, S
 from benchmarks.blind_trial.free_positions import FREE, free_tables
 from benchmarks.blind_trial.mistakes import MISTAKES, SLIPS, Mistake
 from benchmarks.blind_trial.outside import (
+    COMMON_VOLTS,
     HAND_SET,
     OTHER_PSI,
     OUTSIDE,
@@ -22,7 +23,6 @@ from benchmarks.blind_trial.outside import (
     SUPPLIED,
     common_volts,
     courses,
-    drifting,
     hand_set,
     recorded,
     sensitive,
@@ -322,21 +322,14 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [first, _next(rng, row, run, seen, others, int(rng.integers(len(others))))]
         case "outside":
             return [_scaled(rng, row, run, seen, OUTSIDE[list(OUTSIDE)[index % len(OUTSIDE)]])]
-        case "common_volts":
-            return [_scaled(rng, row, run, seen, common_volts)]
-        case "equal_k2":
-            return [_scaled(rng, row, run, seen, _equal_k2)]
-        case "mounting_roll":
-            return [_scaled(rng, row, run, seen, STAND[SEEN_IN_VERIFICATION])]
-        case kind if kind in SLIPS:
-            return [_scaled(rng, row, run, seen, SLIPS[kind])]
-        case _:
-            raise ValueError(f"No such kind of case: {row.kind}.")
+        case kind:
+            return [_scaled(rng, row, run, seen, ALONE[kind])]
 
 
 def _of_the_supply(rng: np.random.Generator, row: Row, run: Run, above_v: Floats) -> Truth:
-    draw = sensitive if row.kind == SENSITIVE else drifting
-    return _scaled(rng, row, run, _true_visibility(row), lambda r, of: draw(r, of, above_v))
+    if row.kind != SENSITIVE:  # a drift, independent of the rails
+        return _scaled(rng, row, run, _true_visibility(row), BLOCK["bias_drift"])
+    return _scaled(rng, row, run, _true_visibility(row), lambda r, of: sensitive(r, of, above_v))
 
 
 def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
@@ -346,6 +339,12 @@ def _equal_k2(rng: np.random.Generator, run: Run) -> Truth:
         "quadratic_nonlinearity", "block", lambda _, force, x: sign * 30e-6 * x * force**2,
         channels=CHANNELS, shape="equal",
     )  # fmt: skip
+
+
+ALONE: Final[dict[str, Draw]] = {
+    COMMON_VOLTS: common_volts, "equal_k2": _equal_k2, SEEN_IN_VERIFICATION: STAND[SEEN_IN_VERIFICATION], **SLIPS,
+}  # fmt: skip
+"""The effect of each kind of case that hides one effect."""
 
 
 def _next(

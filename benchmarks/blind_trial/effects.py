@@ -29,11 +29,7 @@ def _per_mount(name: str, arcsec: float, key: str, *, after_remount: bool = Fals
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         weights, mounts = mount_weights(rng, run, after_remount=after_remount)
-
-        def shift(_: Run, x: float) -> Shift:
-            return {key: x * arcsec * ARCSEC * weights}
-
-        return Truth(name, "stand", shift=shift, mounts=mounts)
+        return Truth(name, "stand", shift=lambda _, x: {key: x * arcsec * ARCSEC * weights}, mounts=mounts)
 
     return draw
 
@@ -77,11 +73,9 @@ def turned(name: str, arcsec: float, key: str, form: Callable[[Run], Floats], sh
 
     def draw(rng: np.random.Generator, run: Run) -> Truth:
         sign = rng.choice([-1.0, 1.0])
-
-        def shift(r: Run, x: float) -> Shift:
-            return {key: sign * arcsec * x * ARCSEC * form(r)}
-
-        return Truth(name, "stand", shift=shift, shape=shape)
+        return Truth(
+            name, "stand", shift=lambda r, x: {key: sign * arcsec * x * ARCSEC * form(r)}, shape=shape
+        )
 
     return draw
 
@@ -93,13 +87,10 @@ def wobble(harmonic: int, phase: float, run: Run, arcsec: float) -> Floats:
 
 def _axis_wobble(rng: np.random.Generator, run: Run) -> Truth:
     harmonic, phase = int(rng.integers(1, 3)), rng.uniform(0, 2 * np.pi)
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"tilt": wobble(harmonic, phase, r, 5 * x)}
-
     return Truth(
-        "axis_wobble", "stand", shift=shift, shape=f"harmonic {harmonic}", parameters={"phase": phase}
-    )
+        "axis_wobble", "stand", shift=lambda r, x: {"tilt": wobble(harmonic, phase, r, 5 * x)},
+        shape=f"harmonic {harmonic}", parameters={"phase": phase},
+    )  # fmt: skip
 
 
 def _foundation_tilt(rng: np.random.Generator, run: Run) -> Truth:
@@ -178,13 +169,10 @@ def _mixed(name: str, size: float, *forms: Form, thermal: bool = False) -> Draw:
             warmth = r.temperature(0.0)[:, None] if thermal else 1.0
             return np.asarray(x * size * weights * form * warmth)
 
-        return Truth(name, "block", act, channels=channels, parameters=_named("mix", mix))
+        parts = {f"mix[{i}]": float(part) for i, part in enumerate(mix)}
+        return Truth(name, "block", act, channels=channels, parameters=parts)
 
     return draw
-
-
-def _named(name: str, values: Floats) -> dict[str, float]:
-    return {f"{name}[{i}]": float(value) for i, value in enumerate(values)}
 
 
 def _turn_on_shift(rng: np.random.Generator, run: Run) -> Truth:
@@ -211,12 +199,8 @@ def _cooling(minutes: float, quick: float = 0.0) -> Form:
     return form
 
 
-def _lagged(minutes: float) -> Form:
-    return lambda run, _: run.temperature(minutes * MINUTE)[:, None]
-
-
-def _lagged_scale(minutes: float) -> Form:
-    return lambda run, force: run.temperature(minutes * MINUTE)[:, None] * force
+def _lagged(minutes: float, *, scale: bool = False) -> Form:
+    return lambda run, force: run.temperature(minutes * MINUTE)[:, None] * (force if scale else 1.0)
 
 
 def _stops(way: Floats, begins: set[int], half_width: float) -> Floats:
@@ -289,7 +273,7 @@ BLOCK: Final[dict[str, Draw]] = {
         "thermal_bias", 60 * MICRO, {f"lag {lag} min": _lagged(lag) for lag in (0, 7, 13, 21)}
     ),
     "thermal_scale": _shaped(
-        "thermal_scale", 100 * MICRO, {f"lag {lag} min": _lagged_scale(lag) for lag in (0, 7)}
+        "thermal_scale", 100 * MICRO, {f"lag {lag} min": _lagged(lag, scale=True) for lag in (0, 7)}
     ),
     "warm_up": _shaped(
         "warm_up",
@@ -336,13 +320,9 @@ def _voltmeter_nonlinearity(rng: np.random.Generator, run: Run) -> Truth:
         "odd bow": lambda u: np.sin(np.pi * u),
     }
     shape = str(rng.choice(list(shapes)))
-    sign = rng.choice([-1.0, 1.0])
     bow = shapes[shape]
-
-    def act(_: Run, volts: Floats, x: float) -> Floats:
-        return np.asarray(sign * 10 * MICROVOLT * x * bow(volts / FULL))
-
-    return Truth("voltmeter_nonlinearity", "voltmeter", act, channels=CHANNELS, shape=shape)
+    truth = common("voltmeter_nonlinearity", 10 * MICROVOLT, lambda _, volts: bow(volts / FULL))(rng, run)
+    return replace(truth, shape=shape)
 
 
 def common(name: str, size: float, form: Form, channels: tuple[str, ...] = CHANNELS) -> Draw:
@@ -411,11 +391,7 @@ def _common_turn(rng: np.random.Generator, run: Run) -> Truth:
     """Return the effect of turning all axes together in the housing, which the coefficients absorb."""
     axis = rng.normal(size=3)
     axis *= 90 * ARCSEC / np.linalg.norm(axis)
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        return np.cross(force, x * axis)
-
-    return Truth("common_turn", "block", act, channels=CHANNELS)
+    return Truth("common_turn", "block", lambda _, force, x: np.cross(force, x * axis), channels=CHANNELS)
 
 
 HIDDEN: Final[dict[str, Draw]] = {

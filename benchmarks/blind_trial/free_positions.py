@@ -7,7 +7,7 @@ noise of |a|.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -162,26 +162,3 @@ def _rho(of: Positions, added: tuple[Floats, ...]) -> float:
     columns = np.column_stack([(a[:, :, None] * a[:, None, :]).reshape(len(a), 9), a])
     left = moved - columns @ np.linalg.lstsq(columns, moved, rcond=None)[0]
     return float(np.linalg.norm(left) / NOISE_G)
-
-
-def judge_free(kind: str, truth: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks (right or wrong) of a diagnosis of free positions, by column of the table."""
-    verdict = diagnosis["verdict"]
-    if kind.startswith("free:null"):
-        return {"agrees": verdict == "agrees"}
-    sets = [{e["name"], *e["cannot_tell_from"]} for e in diagnosis["effects"]]
-    if kind == "free:outlier":
-        return {
-            "mistake found": verdict == "mistake",
-            "one alleged": [e["name"] for e in diagnosis["effects"]].count("outlier") == 1,
-            "nothing else": all(names == {"outlier"} for names in sets),
-        }
-    marks = {"detected": verdict != "agrees", "mistake alleged": verdict == "mistake"}
-    marks["in the set"] = any(truth in names for names in sets)
-    marks["alone given"] = verdict == "named"
-    if verdict == "named":
-        marks["alone right"] = all(names == {truth} for names in sets)
-    p_after = diagnosis["gap"]["p_after"]
-    if p_after is not None and verdict != "agrees":
-        marks["gap closed"] = p_after > 0.01
-    return marks

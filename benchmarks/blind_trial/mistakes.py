@@ -63,11 +63,9 @@ def _slip(where: Where, rng: np.random.Generator, run: Run) -> Truth:
 def _rezero(where: Where, rng: np.random.Generator, run: Run) -> Truth:
     rows, place = where(rng, run, True)
     sign = rng.choice([-1.0, 1.0])
-
-    def shift(_: Run, x: float) -> Shift:
-        return {"angle": sign * 60 * x * ARCSEC * rows}
-
-    return Truth("head_zero_shift", "stand", shift=shift, mounts=(place,))
+    return Truth(
+        "head_zero_shift", "stand", shift=lambda _, x: {"angle": sign * 60 * x * ARCSEC * rows}, mounts=(place,)
+    )  # fmt: skip
 
 
 def _exchanged(where: Where, rng: np.random.Generator, run: Run) -> Truth:
@@ -104,10 +102,6 @@ SLIPS: Final[dict[str, Callable[[np.random.Generator, Run], Truth]]] = {
 OUTLIER_V: Final = (1e-3, 1.0)
 
 
-def _unchanged(signal: Floats) -> Floats:
-    return signal
-
-
 @dataclass(frozen=True)
 class Mistake:
     """One mistake, and the rows that it affects.
@@ -120,7 +114,7 @@ class Mistake:
     name: str
     place: str
     true_angle: Floats | None = None
-    edit: Callable[[Floats], Floats] = _unchanged
+    edit: Callable[[Floats], Floats] = np.asarray
     labels: NDArray[np.str_] | None = None
     accepted: tuple[str, ...] = ()
 
@@ -141,27 +135,24 @@ def _scope(rng: np.random.Generator, run: Run) -> tuple[NDArray[np.bool_], str]:
 def _swapped_channels(rng: np.random.Generator, run: Run) -> Mistake:
     rows, where = _scope(rng, run)
     i, j = np.sort(rng.choice(3, 2, replace=False))
-
-    def edit(signal: Floats) -> Floats:
-        swapped = signal.copy()
-        swapped[np.ix_(rows, [i, j])] = signal[np.ix_(rows, [j, i])]
-        return swapped
-
-    return Mistake("swapped_channels", f"{CHANNELS[i]} and {CHANNELS[j]} {where}", edit=edit)
+    order = np.arange(3)
+    order[[i, j]] = j, i
+    return Mistake(
+        "swapped_channels", f"{CHANNELS[i]} and {CHANNELS[j]} {where}",
+        edit=lambda signal: np.where(rows[:, None], signal[:, order], signal),
+    )  # fmt: skip
 
 
 def _reversed_polarity(rng: np.random.Generator, run: Run) -> Mistake:
     rows, where = _scope(rng, run)
     channel = int(rng.integers(3))
-
-    def edit(signal: Floats) -> Floats:
-        turned = signal.copy()
-        turned[rows, channel] *= -1
-        return turned
-
+    turned = np.outer(rows, np.arange(3) == channel)
     # both installations have the sine along x only: x reversed in the whole run equals a head that counts backwards
     same = ("reversed_rotation",) if channel == 0 and where == "everywhere" else ()
-    return Mistake("reversed_polarity", f"{CHANNELS[channel]} {where}", edit=edit, accepted=same)
+    return Mistake(
+        "reversed_polarity", f"{CHANNELS[channel]} {where}", accepted=same,
+        edit=lambda signal: np.where(turned, -signal, signal),
+    )  # fmt: skip
 
 
 def _reversed_rotation(rng: np.random.Generator, run: Run) -> Mistake:
@@ -195,10 +186,11 @@ def _wrong_setting(rng: np.random.Generator, run: Run) -> Mistake:
     if kind == "reflected":
         rows = rows[np.abs(np.sin(angle[rows])) > 0.1]
     row = int(rng.choice(rows))
-    off = {"1 deg": 1.0, "10 arcmin": 1 / 6, "1 arcmin": 1 / 60}
-    angle[row] = (
-        -angle[row] if kind == "reflected" else angle[row] + rng.choice([-1, 1]) * np.radians(off[kind])
-    )
+    if kind == "reflected":
+        angle[row] = -angle[row]
+    else:
+        off = {"1 deg": 1.0, "10 arcmin": 1 / 6, "1 arcmin": 1 / 60}
+        angle[row] += rng.choice([-1, 1]) * np.radians(off[kind])
     return Mistake("wrong_setting", f"row {row + 1}, {kind}", true_angle=angle)
 
 

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.blind_trial.effects import BLOCK, common, per_channel, turned, wobble
-from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Shift, Stage, Truth, channel_weights
+from benchmarks.blind_trial.effects import common, per_channel, turned, wobble
+from benchmarks.blind_trial.stand import CHANNELS, Draw, Floats, Run, Stage, Truth, channel_weights
 
 # --- effects that a user states as formulas (`own-effects.yaml`), implemented independently --------------
 
@@ -118,11 +118,7 @@ def _quadratic_drift(rng: np.random.Generator, run: Run) -> Truth:
 
 def _third_harmonic_wobble(rng: np.random.Generator, run: Run) -> Truth:
     phase = rng.uniform(0, 2 * np.pi)
-
-    def shift(r: Run, x: float) -> Shift:
-        return {"tilt": wobble(3, phase, r, 5 * x)}
-
-    return Truth("third_harmonic_wobble", "stand", shift=shift)
+    return Truth("third_harmonic_wobble", "stand", shift=lambda r, x: {"tilt": wobble(3, phase, r, 5 * x)})
 
 
 def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
@@ -208,16 +204,10 @@ def sensitive(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
     weights, channels = channel_weights(rng)
     rail = int(rng.integers(len(NAMES)))
     bias, scale = ((1.0, 0.0), (0.0, 1.0), (0.7, -0.7))[int(rng.integers(3))]
-
-    def act(_: Run, force: Floats, x: float) -> Floats:
-        return x * 20e-6 * weights * above_v[:, rail, None] * (bias + scale * force)
-
-    return Truth("supply_sensitivity", "block", act, channels=channels, shape=NAMES[rail])
-
-
-def drifting(rng: np.random.Generator, run: Run, above_v: Floats) -> Truth:
-    """Return the effect of a bias that drifts in time, independent of the rails."""
-    return BLOCK["bias_drift"](rng, run)
+    return Truth(
+        "supply_sensitivity", "block", channels=channels, shape=NAMES[rail],
+        act=lambda _, force, x: x * 20e-6 * weights * above_v[:, rail, None] * (bias + scale * force),
+    )  # fmt: skip
 
 
 def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
@@ -230,25 +220,6 @@ def recorded(rng: np.random.Generator, above_v: Floats) -> dict[str, Any]:
     return columns
 
 
-def judge_supply(kind: str, diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks (right or wrong) of a diagnosis of one of the supply kinds, by column of the table."""
-    verdict = diagnosis["verdict"]
-    own, other = "supply_sensitivity", "bias_drift"
-    if kind == DRIFTING:
-        own, other = other, own
-    sets = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
-    said = set().union(*sets)
-    marks = {
-        "detected": verdict != "agrees",
-        "in the set": own in said,
-        f"told from {other}": own in said and other not in said,
-        "alone given": verdict == "named",
-    }
-    if verdict == "named":
-        marks["alone right"] = said == {own}
-    return marks
-
-
 # --- known properties of a bench, and effects besides a mistake ------------------------------------------
 
 
@@ -256,7 +227,6 @@ OTHER_PSI: Final = "other_psi"
 COMMON_VOLTS: Final = "common_volts"
 HAND_SET: Final = "hand_set"
 REPAIRED: Final = "repaired"
-KNOWN: Final = (OTHER_PSI, COMMON_VOLTS, HAND_SET, REPAIRED)
 TILT_RAD: Final = float(np.radians(0.5))
 ELECTRICS: Final = frozenset({"voltmeter_warm_up", "voltmeter_drift"})
 NOT_TOLD: Final = frozenset({"voltmeter_gain", "wrong_gravity"})
@@ -274,41 +244,12 @@ def common_volts(rng: np.random.Generator, run: Run) -> Truth:
     """
     fast, slow = rng.uniform(8, 15) * 60, rng.uniform(25, 50) * 60
     part = 0.67 * np.exp(-run.time_s / fast) + 0.33 * np.exp(-run.time_s / slow)
-    sign = rng.choice([-1.0, 1.0])
-
-    def act(_: Run, volts: Floats, x: float) -> Floats:
-        return np.broadcast_to(sign * 100e-6 * x * part[:, None], volts.shape)
-
-    return Truth("voltmeter_warm_up", "voltmeter", act, channels=("x", "y", "z"))
+    return common("voltmeter_warm_up", 100e-6, lambda _, volts: np.broadcast_to(part[:, None], volts.shape))(
+        rng, run
+    )
 
 
 def hand_set(rng: np.random.Generator, run: Run) -> Truth:
     """Return the effect of setting errors of the head at each setting, in its plane and out of it."""
-    off = rng.normal(0, TILT_RAD, (3, len(run.mount)))
-
-    def shift(_: Run, x: float) -> Shift:
-        return {"angle": x * off[0], "skew": x * off[1], "roll": x * off[2]}
-
-    return Truth("hand_set", "stand", shift=shift)
-
-
-def judge_known(kind: str, truth: tuple[str, ...], diagnosis: dict[str, Any]) -> dict[str, bool]:
-    """Return the marks (right or wrong) of a diagnosis of one of the known kinds, by column of the table."""
-    verdict = diagnosis["verdict"]
-    names = [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis["effects"]]
-    if kind == OTHER_PSI:
-        told = diagnosis["verification_orientation"]
-        return {
-            "agrees": verdict == "agrees",
-            "contradiction told": bool(told) and told["contradicts_bench_file"],
-            "hidden listed": set(diagnosis["hidden"]) >= NOT_TOLD,
-        }
-    if kind == HAND_SET:
-        return {"no mistake alleged": verdict != "mistake"}
-    if kind == COMMON_VOLTS:
-        found = verdict != "agrees"
-        return {"detected": found, "points at the electrics": any(one & ELECTRICS for one in names)}
-    return {
-        "mistake found": verdict == "mistake",
-        "the effect in the set": any(truth[0] in one for one in names),
-    }
+    off = dict(zip(("angle", "skew", "roll"), rng.normal(0, TILT_RAD, (3, len(run.mount))), strict=True))
+    return Truth("hand_set", "stand", shift=lambda _, x: {key: x * each for key, each in off.items()})

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.blind_trial.cases import Row
 from benchmarks.blind_trial.score import NOT_SHRUNK, Outcome
-from benchmarks.campaign import Share
+from benchmarks.campaign import Share, markdown
 
 STORED: Final = Path(__file__).parents[2] / "docs" / "blind-trial.json"
 
@@ -130,10 +130,10 @@ def sums(result: Stored) -> str:
         "first right": "first name right",
         "alone right": "alone right",
     }
-    lines = ["| single effect | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-    for named, low, high in (("ρ ≥ 15", 15, np.inf), ("ρ ≥ 8", 8, np.inf), ("ρ = 5", 5, 5.5)):
-        cells = [sum_of("single", column, low, high) for column in columns.values()]
-        lines.append(f"| {named} | " + " | ".join(cells) + " |")
+    lines = markdown(("single effect", *columns), (
+        (named, *(sum_of("single", column, low, high) for column in columns.values()))
+        for named, low, high in (("ρ ≥ 15", 15, np.inf), ("ρ ≥ 8", 8, np.inf), ("ρ = 5", 5, 5.5))
+    ))  # fmt: skip
     agree = sum_of("null", "agrees", 0, np.inf)
     parts = ["\n".join(lines), f"With nothing hidden, the verdict is `agrees` in {agree} cases."]
     alone = [row["score"][NOT_SHRUNK] for row in result["rows"] if NOT_SHRUNK in row["score"]]
@@ -145,8 +145,7 @@ def sums(result: Stored) -> str:
 
 def short_tables(result: Stored) -> str:
     """Return the tables of the page; a line of text replaces a column that is equal in all rows of a kind."""
-    first = ["| kind | what is hidden | rows | the same in every row |", "|---|---|---|---|"]
-    parts = []
+    first, parts = [], []
     for kind, of_kind in _by_kind(result).items():
         columns = _columns(of_kind)
         shares = {c: [Share(*row["score"][c]) for row in of_kind if c in row["score"]] for c in columns}
@@ -157,10 +156,11 @@ def short_tables(result: Stored) -> str:
             f"{_word(c)} {sum(s.successes for s in shares[c])}/{sum(s.of for s in shares[c])}" for c in same
         )
         rows = len(keys) if left else "; ".join(keys)
-        first.append(f"| {kind} | {_HIDDEN[kind]} | {rows} | {'; '.join(counts)} |")
+        first.append((kind, _HIDDEN[kind], rows, "; ".join(counts)))
         if left:
             parts.append(_table([row for row in of_kind if set(left) & row["score"].keys()], left))
-    return "\n\n".join(["\n".join(first), *parts])
+    heads = ("kind", "what is hidden", "rows", "the same in every row")
+    return "\n\n".join(["\n".join(markdown(heads, first)), *parts])
 
 
 def tables(result: Stored) -> str:
@@ -181,13 +181,12 @@ def _table(rows: Sequence[Stored], columns: Sequence[str]) -> str:
     """Return a table of the rows of a kind, with their gaps if they have any."""
     gaps = any(row["gap"] for row in rows)
     head = [rows[0]["kind"], *map(_word, columns), *(("gap before", "gap after") if gaps else ())]
-    lines = ["| " + " | ".join(head) + " |", "|---" * len(head) + "|"]
+    lines = []
     for row in rows:
-        cells = [str(Share(*row["score"].get(column, (0, 0)))) for column in columns]
+        lines.append([_within_kind(row), *(Share(*row["score"].get(column, (0, 0))) for column in columns)])
         if gaps:
-            cells += [f"{row['gap'][w]:.3f}" if row["gap"] else "–" for w in ("before", "after")]
-        lines.append(f"| {_within_kind(row)} | " + " | ".join(cells) + " |")
-    return "\n".join(lines)
+            lines[-1] += [f"{row['gap'][w]:.3f}" if row["gap"] else "–" for w in ("before", "after")]
+    return "\n".join(markdown(head, lines))
 
 
 def _word(column: str) -> str:

@@ -20,7 +20,7 @@ import bench.diagnosis
 from benchmarks.blind_trial.adapter import diagnose_case, forget_thresholds
 from benchmarks.blind_trial.cases import make_case
 from benchmarks.blind_trial.score import Task
-from benchmarks.campaign import spread
+from benchmarks.campaign import markdown, spread
 
 PART: Final = 0.3
 ROOM: Final = "bench.diagnosis"
@@ -126,16 +126,13 @@ def perturb(tasks: Sequence[Task], workers: int) -> list[str]:
     """Return a table with the number of changed verdicts, and of changed verdicts or names, for each constant."""
     every = constants()
     baseline, *others = spread(partial(_of_constant, tasks=tasks), [None, *every], workers)
-    lines = [
-        f"{len(every)} constants, {len(tasks)} cases; verdicts / verdicts or names that differ",
-        "| constant | value | 30 % smaller | 30 % larger |",
-        "|---|---|---|---|",
-    ]
+    rows = []
     for constant, both in zip(every, others, strict=True):
         cells = []
         for said in both:
             pairs = list(zip(said, baseline[0], strict=True))
             cells.append(f"{sum(a[0] != b[0] for a, b in pairs)} / {sum(a != b for a, b in pairs)}")
         place = constant.module.removeprefix(f"{ROOM}.")
-        lines.append(f"| {place}.{constant.name} | {constant.value} | {' | '.join(cells)} |")
-    return lines
+        rows.append((f"{place}.{constant.name}", constant.value, *cells))
+    told = f"{len(every)} constants, {len(tasks)} cases; verdicts / verdicts or names that differ"
+    return [told, *markdown(("constant", "value", "30 % smaller", "30 % larger"), rows)]

@@ -11,9 +11,19 @@ from scipy.stats import chi2
 from bench.base.arrays import Mask
 from benchmarks.blind_trial.cases import MOST_TIMES_PLAUSIBLE, Answer, Case, Row, hidden_in, make_case, seal
 from benchmarks.blind_trial.effects import CATALOGUE, SEEN_IN_VERIFICATION
-from benchmarks.blind_trial.free_positions import FREE, judge_free
+from benchmarks.blind_trial.free_positions import FREE
 from benchmarks.blind_trial.mistakes import SLIPS
-from benchmarks.blind_trial.outside import KNOWN, SUPPLIED, WITHOUT_MEAN, judge_known, judge_supply
+from benchmarks.blind_trial.outside import (
+    COMMON_VOLTS,
+    DRIFTING,
+    ELECTRICS,
+    HAND_SET,
+    NOT_TOLD,
+    OTHER_PSI,
+    REPAIRED,
+    SENSITIVE,
+    WITHOUT_MEAN,
+)
 from benchmarks.blind_trial.signals import (
     SETTING_SIGMA,
     U0,
@@ -25,7 +35,7 @@ from benchmarks.blind_trial.signals import (
     visibility,
 )
 from benchmarks.blind_trial.stand import REFERENCE_TEMPERATURE_C, Floats, Weather, make_run
-from benchmarks.campaign import Share, spread
+from benchmarks.campaign import Share, shares, spread
 
 # --- the gap on held-out readings that the true form of a hidden effect closes, with a fitted size -------
 
@@ -223,6 +233,62 @@ def sets_given(diagnosis: Diagnosis) -> list[set[str]]:
     return [{e["name"], *e.get("cannot_tell_from", ())} for e in diagnosis.get("effects", ())]
 
 
+class Said:
+    """What a diagnosis says of a case: its verdict, the possible names of each effect, and all of these names."""
+
+    def __init__(self, answer: Answer, diagnosis: Diagnosis) -> None:
+        self.answer, self.diagnosis = answer, diagnosis
+        self.verdict: str = diagnosis["verdict"]
+        self.sets = sets_given(diagnosis)
+        self.names: set[str] = set().union(*self.sets)
+        self.first = diagnosis["effects"][0]["name"] if self.sets else None
+        self.truth = next(iter(answer.names), "")
+
+    def marks(self, columns: Sequence[str]) -> Marks:
+        """Return the marks in these columns; whether a lone name is right is asked only where one was given."""
+        asked = (name for name in columns if name != "alone right" or self.verdict == "named")
+        return {name: COLUMNS[name](self) for name in asked}
+
+
+COLUMNS: Final[dict[str, Callable[[Said], bool]]] = {
+    "agrees": lambda said: said.verdict == "agrees",
+    "detected": lambda said: said.verdict != "agrees",
+    "mistake alleged": lambda said: said.verdict == "mistake",
+    "mistake found": lambda said: said.verdict == "mistake",
+    "no mistake alleged": lambda said: said.verdict != "mistake",
+    "refused": lambda said: said.verdict == "unknown",
+    "alone given": lambda said: said.verdict == "named",
+    # an effect that is found twice, with two shapes, is the same name
+    "alone right": lambda said: said.names == {said.truth},
+    "in the set": lambda said: said.truth in said.names,
+    "the effect in the set": lambda said: said.truth in said.names,
+    "nothing without it": lambda said: all(said.truth in names for names in said.sets),
+    "both in the sets": lambda said: said.names.issuperset(said.answer.names),
+    "a set without either": lambda said: any(names.isdisjoint(said.answer.names) for names in said.sets),
+    "told from bias_drift": lambda said: said.truth in said.names and "bias_drift" not in said.names,
+    "told from supply_sensitivity": lambda said: (
+        said.truth in said.names and "supply_sensitivity" not in said.names
+    ),
+    "one alleged": lambda said: [one["name"] for one in said.diagnosis["effects"]].count("outlier") == 1,
+    "nothing else": lambda said: all(names == {"outlier"} for names in said.sets),
+    "points at the electrics": lambda said: not said.names.isdisjoint(ELECTRICS),
+}
+"""The columns of the table that follow from verdict and names alone."""
+NULL: Final = ("agrees",)
+FOUND: Final = ("detected", "mistake alleged", "in the set", "alone given", "alone right")
+OF_KIND: Final[dict[str, Sequence[str]]] = {
+    **dict.fromkeys(FREE, FOUND), "null": NULL, "free:null": NULL, "free:null records": NULL,
+    "free:outlier": ("mistake found", "one alleged", "nothing else"),
+    **dict.fromkeys(SLIPS, ("detected", "mistake alleged", "in the set", "nothing without it", "alone given")),
+    "pair": ("detected", "both in the sets", "a set without either", "refused"),
+    SENSITIVE: ("detected", "in the set", "told from bias_drift", "alone given", "alone right"),
+    DRIFTING: ("detected", "in the set", "told from supply_sensitivity", "alone given", "alone right"),
+    COMMON_VOLTS: ("detected", "points at the electrics"), HAND_SET: ("no mistake alleged",),
+    REPAIRED: ("mistake found", "the effect in the set"),
+}  # fmt: skip
+"""The columns in which a kind of case is marked; `judge` adds those that need more than verdict and names."""
+
+
 def judge(
     case: Case,
     answer: Answer,
@@ -235,10 +301,38 @@ def judge(
     returns the largest cosine between an effect outside the catalogue and an effect of the catalogue; effects
     with a cosine above 0.8 are counted separately.
     """
-    marks = _judge_kind(case, answer, diagnosis, likeness)
-    if diagnosis["verdict"] == "named":
+    said = Said(answer, diagnosis)
+    hidden, mistaken = diagnosis.get("hidden", ()), said.verdict == "mistake"
+    match answer.kind.split(":")[0]:
+        case "hidden":
+            marks = said.marks(NULL)
+            if said.truth != "common_turn":
+                marks["hidden listed"] = any(said.truth in str(entry) for entry in hidden)
+        case "mistake":
+            marks = {
+                "mistake found": mistaken,
+                "first name right": mistaken and said.first in answer.accepted,
+                "in the set": mistaken and not said.names.isdisjoint(answer.accepted),
+            }
+        case _ if answer.kind == OTHER_PSI:
+            told = diagnosis["verification_orientation"]
+            marks = said.marks(NULL)
+            marks["contradiction told"] = bool(told) and told["contradicts_bench_file"]
+            marks["hidden listed"] = set(hidden) >= NOT_TOLD
+        case "outside":
+            marks = _judge_outside(case, said, likeness)
+        case _ if answer.kind in OF_KIND:
+            marks = said.marks(OF_KIND[answer.kind])
+        case _:
+            marks = _judge_single(said)
+    if answer.kind in FREE and "in the set" in marks and said.verdict != "agrees":
+        marks |= _gap_closed(diagnosis)
+    if said.verdict == "named":
         marks[NOT_SHRUNK] = not _shrank(diagnosis["gap"])
     return marks
+
+
+NOT_SHRUNK: Final = "named, the gap not smaller"
 
 
 def _shrank(gap: dict[str, Any]) -> bool:
@@ -247,153 +341,66 @@ def _shrank(gap: dict[str, Any]) -> bool:
     return all(before is not None and after is not None and after < before for before, after in sizes)
 
 
-NOT_SHRUNK: Final = "named, the gap not smaller"
-
-
-def _judge_kind(
-    case: Case,
-    answer: Answer,
-    diagnosis: Diagnosis,
-    likeness: Callable[[Answer], float] | None,
-) -> Marks:
-    verdict = diagnosis["verdict"]
-    kind = answer.kind.split(":")[0]
-    if answer.kind in FREE:
-        return judge_free(answer.kind, answer.names[0] if answer.names else "", diagnosis)
-    if kind == "null":
-        return {"agrees": verdict == "agrees"}
-    if kind == "hidden":
-        return _judge_hidden(answer, diagnosis)
-    if kind == "mistake":
-        return _judge_mistake(answer, diagnosis)
-    if kind == "outside":
-        alike = likeness is not None and likeness(answer) >= FOREIGN_BUT_ALIKE
-        apart = " (like a member)" if alike else ""
-        marks = {
-            f"detected{apart}": verdict != "agrees",
-            f"flagged unknown{apart}": verdict == "unknown",
-            f"given a single name{apart}": verdict == "named",
-        }
-        if likeness is not None:
-            marks |= _lone_name(answer, likeness(answer), verdict)
-        return marks | _judge_form(case, answer, diagnosis)
-    if answer.kind in KNOWN:
-        return judge_known(answer.kind, answer.names, diagnosis)
-    if answer.kind in SLIPS:
-        return _judge_slip(answer, diagnosis)
-    if answer.kind in SUPPLIED:
-        return judge_supply(answer.kind, diagnosis)
-    if kind == "pair":
-        return _judge_pair(answer, diagnosis)
-    return _judge_single(answer, diagnosis)
-
-
-def _lone_name(answer: Answer, cosine: float, verdict: str) -> Marks:
-    """Return the mark on whether a single name was given, in the column of the unexplained part.
-
-    This is the part of the effect that the nearest catalogue effect leaves, in units of noise; below
-    `SOME_LEFT` there is no mark.
-    """
-    left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
-    if left < SOME_LEFT:
-        return {}
-    words = f"{MUCH_LEFT:g} or more" if left >= MUCH_LEFT else f"{SOME_LEFT:g} to {MUCH_LEFT:g}"
-    return {f"given a single name that leaves {words}": verdict == "named"}
+def _gap_closed(diagnosis: Diagnosis) -> Marks:
+    """Return whether the gap on held-out readings is within the noise, if it is known."""
+    p_after = diagnosis.get("gap", {}).get("p_after")
+    return {} if p_after is None else {"gap closed": p_after > SIGNIFICANT}
 
 
 SOME_LEFT: Final = 4.0
 MUCH_LEFT: Final = 7.0
+FORM_CLOSES: Final = 0.8
 
 
-def _judge_form(case: Case, answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Return whether an effect with a mean form is detected, and whether the form found closes the gap.
+def _judge_outside(case: Case, said: Said, likeness: Callable[[Answer], float] | None) -> Marks:
+    """Return the marks of a case with an effect outside the catalogue.
 
-    The gap is the excess over noise on held-out readings. The form found must close 80 % of what the true
-    form with a fitted size closes.
+    A single name is counted by the part of the effect that the nearest catalogue effect leaves unexplained, in
+    units of noise; below `SOME_LEFT` there is no such mark. The gap is the excess over noise on held-out readings.
+    The form found must close 80 % of what the true form with a fitted size closes.
     """
-    if answer.names[0] in WITHOUT_MEAN:
-        return {}
-    marks = {"detected (has a mean form)": diagnosis["verdict"] != "agrees"}
-    form = diagnosis.get("form")
-    if diagnosis["verdict"] == "unknown" and form is not None:
+    answer, verdict = said.answer, said.verdict
+    cosine = 0.0 if likeness is None else likeness(answer)
+    apart = " (like a member)" if cosine >= FOREIGN_BUT_ALIKE else ""
+    marks = {
+        f"detected{apart}": verdict != "agrees",
+        f"flagged unknown{apart}": verdict == "unknown",
+        f"given a single name{apart}": verdict == "named",
+    }
+    left = answer.effects[0].rho * np.sqrt(max(0.0, 1.0 - cosine**2))
+    if likeness is not None and left >= SOME_LEFT:
+        words = f"{MUCH_LEFT:g} or more" if left >= MUCH_LEFT else f"{SOME_LEFT:g} to {MUCH_LEFT:g}"
+        marks[f"given a single name that leaves {words}"] = verdict == "named"
+    if said.truth in WITHOUT_MEAN:
+        return marks
+    marks["detected (has a mean form)"] = verdict != "agrees"
+    form = said.diagnosis.get("form")
+    if verdict == "unknown" and form is not None:
         closed, true = form["gap"]["closed"], true_closing(case, answer)
         if true is not None and true > 0.0:
             marks["form closes 80 %"] = closed is not None and closed >= FORM_CLOSES * true
     return marks
 
 
-FORM_CLOSES: Final = 0.8
-
-
-def _judge_hidden(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    marks = {"agrees": diagnosis["verdict"] == "agrees"}
-    if answer.names[0] != "common_turn":
-        marks["hidden listed"] = any(answer.names[0] in str(entry) for entry in diagnosis.get("hidden", ()))
-    return marks
-
-
-def _judge_mistake(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    found = diagnosis["verdict"] == "mistake"
-    sets = sets_given(diagnosis)
-    first = diagnosis["effects"][0]["name"] if sets else None
-    return {
-        "mistake found": found,
-        "first name right": found and first in answer.accepted,
-        "in the set": found and any(not names.isdisjoint(answer.accepted) for names in sets),
-    }
-
-
-def _judge_slip(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    sets = sets_given(diagnosis)
-    return {
-        "detected": diagnosis["verdict"] != "agrees",
-        "mistake alleged": diagnosis["verdict"] == "mistake",
-        "in the set": any(answer.names[0] in names for names in sets),
-        "nothing without it": all(answer.names[0] in names for names in sets),
-        "alone given": diagnosis["verdict"] == "named",
-    }
-
-
-def _judge_pair(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    sets = sets_given(diagnosis)
-    truth = set(answer.names)
-    return {
-        "detected": diagnosis["verdict"] != "agrees",
-        "both in the sets": truth <= set().union(*sets),
-        "a set without either": any(names.isdisjoint(truth) for names in sets),
-        "refused": diagnosis["verdict"] == "unknown",
-    }
-
-
-def _judge_single(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    verdict, sets = diagnosis["verdict"], sets_given(diagnosis)
-    truth = answer.names[0]
-    marks = {"detected": verdict != "agrees", "mistake alleged": verdict == "mistake"}
-    if verdict in {"named", "confounded"}:
-        marks["in the set"] = any(truth in names for names in sets)
+def _judge_single(said: Said) -> Marks:
+    marks = said.marks(FOUND[:2])
+    if said.verdict in {"named", "confounded"}:
+        marks |= said.marks(["in the set"])
         # at the verification points a wobble of one period per turn equals a mounting roll
-        if answer.kind != SEEN_IN_VERIFICATION and can_tell(answer):
-            marks["first name right"] = bool(sets) and diagnosis["effects"][0]["name"] == truth
-    marks |= _judge_gap(answer, diagnosis)
-    marks["alone given"] = verdict == "named"
-    if verdict == "named":
-        # an effect that is found twice, with two shapes, is the same name
-        marks["alone right"] = set().union(*sets) == {truth}
-    return marks
+        if said.answer.kind != SEEN_IN_VERIFICATION and can_tell(said.answer):
+            marks["first name right"] = said.first == said.truth
+        marks |= _gap_closed(said.diagnosis)
+    return marks | _judge_coefficients(said) | said.marks(FOUND[3:])
 
 
-def _judge_gap(answer: Answer, diagnosis: Diagnosis) -> Marks:
-    """Return whether the gap is closed on held-out readings, and whether the coefficients are right again.
+def _judge_coefficients(said: Said) -> Marks:
+    """Return whether the verification points got no worse by naming, and whether the coefficients are right again.
 
-    If a name was given, a further mark is that the verification points got no worse. Coefficients are right
-    if the chi-square of their twelve errors has a p-value above 1 %; they are judged only if the true effect
-    was named alone. With a temperature effect in the model, the coefficients refer to the model's reference
-    temperature.
+    Coefficients are right if the chi-square of their twelve errors has a p-value above 1 %; they are judged only
+    if the true effect was named alone. With a temperature effect in the model, the coefficients refer to the
+    model's reference temperature.
     """
-    marks: Marks = {}
-    p_after = diagnosis.get("gap", {}).get("p_after")
-    if diagnosis["verdict"] in {"named", "confounded"} and p_after is not None:
-        marks["gap closed"] = p_after > SIGNIFICANT
+    answer, diagnosis, marks = said.answer, said.diagnosis, Marks()
     if diagnosis.get("delta_g") and diagnosis["delta_g"]["before"]:
         marks["Δg not worse"] = _not_worse(**diagnosis["delta_g"])
     alone = {effect["name"] for effect in diagnosis["effects"]} == set(answer.names)
@@ -420,12 +427,4 @@ def _coefficients_right(estimate: dict[str, Any], true: Floats) -> bool:
 
 def tally(rows: Sequence[Row], marks: Sequence[tuple[Row, Marks]]) -> dict[str, dict[str, Share]]:
     """Return the shares of marks by row key and column, in the order of the rows."""
-    counts: dict[str, dict[str, list[int]]] = {row.key: {} for row in rows}
-    for row, given in marks:
-        for column, right in given.items():
-            count = counts[row.key].setdefault(column, [0, 0])
-            count[0] += right
-            count[1] += 1
-    return {
-        key: {column: Share(*count) for column, count in columns.items()} for key, columns in counts.items()
-    }
+    return {row.key: shares(given for of, given in marks if of == row) for row in rows}

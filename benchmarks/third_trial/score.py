@@ -1,13 +1,13 @@
 """The counts of the third trial, and the bounds with which they are compared."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
 from scipy.stats import binom, binomtest
 
-from benchmarks.campaign import Share, markdown
+from benchmarks.campaign import Share, markdown, shares
 from benchmarks.third_trial.forms import SCATTER
 
 Record = dict[str, Any]
@@ -149,14 +149,6 @@ BOUNDS: Final = {
     "named": (">=", 1.0), "better": (">=", 0.8), "worse by more than u": ("<=", 0.02),
 }  # fmt: skip
 """Relation and bound for each column."""
-
-
-def shares(marks: Iterable[Marks]) -> dict[str, Share]:
-    """Return for each column the share of applicable marks that are right."""
-    columns: dict[str, list[bool]] = {}
-    for name, value in (pair for one in marks for pair in one.items()):
-        columns.setdefault(name, []).extend([] if value is None else [bool(value)])
-    return {name: Share(sum(values), len(values)) for name, values in columns.items()}
 
 
 def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:

@@ -2,21 +2,18 @@
 
 import json
 from functools import partial
-from pathlib import Path
 from unittest import mock
 
 import pytest
-from rich.console import Console
 
 from bench.cli.app import main
 from bench.config.shipped import find_bench
 from bench.run.folder import Run
-from bench.services.execution import carry_out, new_run
-from bench.services.requests.measuring import RunRequest
 from benchmarks.mistaken_operator import KINDS, MistakenOperator, draw
 from benchmarks.mistakes_campaign import CLEAN, LARGE, Outcome, setting, table, watched, whole
 from drivers.interfaces import NoAnswer
 from drivers.person import Answer
+from tests.support.check_runs import dry_run
 from tests.support.schemas import keeps_to
 
 QUICK = {"procedure": "quick", "bench_name": "paper-stand"}
@@ -61,14 +58,9 @@ def gone_on(kind, runs, number=0):
     """A finished run of whose mistake the operator was told, and went on."""
     plan, bench = setting("quick", "paper-stand")
     mistake = draw(kind, number, plan, bench.installation_models(), 5)
-    new = new_run(RunRequest("quick", "paper-stand", runs=runs, dry_run=True, seed=5, name="run"))
     make = partial(Stubborn, plan=plan, mistake=mistake)
-    with (
-        Path("/dev/null").open("w") as nowhere,
-        mock.patch("bench.run.assembly.served.ScriptedOperator", make),
-    ):
-        carry_out(Run(new.folder), new.record(), Console(file=nowhere))
-    return Run(new.folder)
+    with mock.patch("bench.run.assembly.served.ScriptedOperator", make):
+        return dry_run("quick", "paper-stand", runs, "run", 5)
 
 
 def diagnosed(capsys, runs, *more):
@@ -100,10 +92,7 @@ def test_a_large_effect_of_a_recorded_run_is_named_and_taken_for_no_mistake(tmp_
     bench_file = tmp_path / "bench.yaml"
     large = '  effects:\n    - {name: scale_asymmetry, parameters: {Kabs: "1 mg/g"}}\n'
     bench_file.write_text(find_bench("paper-stand").read_text(encoding="utf-8") + large, encoding="utf-8")
-    new = new_run(RunRequest("paper", str(bench_file), runs=tmp_path, dry_run=True, seed=5, name="run"))
-    with Path("/dev/null").open("w") as nowhere:
-        carry_out(Run(new.folder), new.record(), Console(file=nowhere))
-    assert Run(new.folder).history.progress.signs > 10
+    assert dry_run("paper", str(bench_file), tmp_path, "run", 5).history.progress.signs > 10
     result = diagnosed(capsys, tmp_path)[1]
     assert result["verdict"] == "named"
     assert [effect["name"] for effect in result["effects"]] == ["scale_asymmetry"]

@@ -26,7 +26,8 @@ def chamber(session: object, clock: object | None = None, **options: object) -> 
     return WatlowF4TChamber("chamber", session, clock or Clock(), LIMITS, **options)  # type: ignore[arg-type]
 
 
-def test_set_and_read_in_celsius_with_an_output() -> None:
+def test_set_and_read_in_celsius_with_an_output_and_a_second_after_each_write() -> None:
+    clock = Clock()
     script = ScriptedSession(
         [IDENTITY, *CELSIUS],
         [NO_ERROR, *CELSIUS, (f"{LOOP}:SPOINT 25.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "25.0")],
@@ -34,8 +35,9 @@ def test_set_and_read_in_celsius_with_an_output() -> None:
         [NO_ERROR, *CELSIUS, (f"{LOOP}:SPOINT?", "25.0"), (":OUTPUT1:STATE?", "ON")],
         [*CELSIUS, (f"{LOOP}:PVALUE?", "24.62")],
         [(":OUTPUT1:STATE OFF", None), (":OUTPUT1:STATE?", "OFF")],
+        clock=clock,
     )
-    c = chamber(script, output=1)
+    c = chamber(script, clock, output=1)
     assert isinstance(c, ThermalChamber)
     assert c.open() == Identity("Watlow Electric", "F4T", "12345", "04:07:0011")
     c.set_temperature(25.0, "1/temperature")
@@ -43,6 +45,8 @@ def test_set_and_read_in_celsius_with_an_output() -> None:
     c.make_safe()
     c.close()
     assert script.left == []
+    gaps_s = [after - before for (sent, before), (_, after) in pairwise(script.sent_at_s) if "?" not in sent]
+    assert gaps_s == pytest.approx([1.0, 1.0, 1.0])
 
 
 def test_a_controller_that_says_it_speaks_fahrenheit_is_spoken_to_so() -> None:
@@ -66,21 +70,6 @@ def test_a_controller_that_does_not_tell_its_unit_is_refused(answers: list[str |
         InstrumentRefused, match=r"does not say whether it speaks °C or °F .*; update its firmware"
     ):
         chamber(ScriptedSession(pairs)).open()
-
-
-def test_it_is_left_alone_for_a_second_after_each_write() -> None:
-    clock = Clock()
-    script = ScriptedSession(
-        [IDENTITY, *CELSIUS, NO_ERROR, *CELSIUS],
-        [(f"{LOOP}:SPOINT 25.00", None), *CELSIUS, (f"{LOOP}:SPOINT?", "25.0")],
-        [(":OUTPUT1:STATE ON", None), (":OUTPUT1:STATE?", "ON")],
-        clock=clock,
-    )
-    c = chamber(script, clock, output=1)
-    c.open()
-    c.set_temperature(25.0, "1/temperature")
-    gaps_s = [after - before for (sent, before), (_, after) in pairwise(script.sent_at_s) if "?" not in sent]
-    assert gaps_s == pytest.approx([1.0, 1.0])
 
 
 # --- over a real socket, with the simulated controller -----------------------------------------------

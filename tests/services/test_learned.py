@@ -1,13 +1,11 @@
 """What is said before a run with a learned file: budget, and goals of `run --until`."""
 
 import datetime
-import io
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 import bench as program
 from bench.base.arrays import ARCSEC, u_of
@@ -20,11 +18,10 @@ from bench.run.events import RecordError
 from bench.run.folder import LEARNED, Run
 from bench.services.check_block import check_values
 from bench.services.errors import Refused
-from bench.services.execution import carry_out, new_run
-from bench.services.requests.measuring import RunRequest
 from bench.services.traceability import learned_for_run
 from bench.services.until import chooser_of, outlook_in_words, outlook_until
 from drivers.clock import utc_now
+from tests.support.check_runs import dry_run
 from tests.support.learned_file import content, leave
 
 PAPER = load_procedure(find_procedure("paper")).expand()
@@ -98,9 +95,7 @@ def measured(empty_folder, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(Path("cache").absolute()))
 
     def run(name):
-        new = new_run(RunRequest("quick", "mine.yaml", runs=Path("runs"), dry_run=True, seed=5, name=name))
-        carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
-        return Run(new.folder)
+        return dry_run("quick", "mine.yaml", Path("runs"), name, 5)
 
     return run
 

@@ -24,18 +24,11 @@ def measured(
     name: str, seed: int, *, unit: str | None = "CHECK-1", model: Path | None = None, **asked: Any
 ) -> Run:
     """Carry out a dry run of the check block or another `unit`; return the run."""
-    new = new_run(
-        RunRequest(
-            "quick",
-            "my.yaml",
-            runs=Path("runs"),
-            dry_run=True,
-            seed=seed,
-            name=name,
-            unit=unit,
-            model=model,
-            **asked,
-        )
-    )
+    return dry_run("quick", "my.yaml", Path("runs"), name, seed, unit=unit, model=model, **asked)
+
+
+def dry_run(procedure: str, bench: str, runs: Path, name: str, seed: int, **asked: Any) -> Run:
+    """Carry out a dry run silently; return the run."""
+    new = new_run(RunRequest(procedure, bench, runs=runs, dry_run=True, seed=seed, name=name, **asked))
     carry_out(Run(new.folder), new.record(), Console(file=io.StringIO(), quiet=True))
     return Run(new.folder)

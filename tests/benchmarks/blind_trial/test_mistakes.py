@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.blind_trial.cases import Row, make_case
-from benchmarks.blind_trial.outside import judge_known
+from benchmarks.blind_trial.score import judge
 from benchmarks.blind_trial.signals import SETTING_SIGMA, signals
 from benchmarks.blind_trial.stand import make_run
-from tests.support.blind_cases import NOISE_V, mistaken
+from tests.support.blind_cases import NOISE_V, mistaken, said
 
 SMALL_V = 2e-3
 """Above what stand errors (5 σ of α3 are 1.6 mV) and noise do to a reading, below what a mistake does."""
@@ -109,9 +109,7 @@ def test_hand_set_positions_are_off_by_tenths_of_degrees_each_by_its_own():
 
 
 def test_marks_say_what_came_after_a_mistake():
-    found = {"verdict": "mistake", "effects": [{"name": "outlier"}, {"name": "warm_up"}]}
-    assert judge_known("repaired", ("warm_up",), found) == {
-        "mistake found": True,
-        "the effect in the set": True,
-    }
-    assert not judge_known("repaired", ("bias_drift",), found)["the effect in the set"]
+    case, answer = make_case(SEED, Row("repaired", rho=20), 0)
+    marks = judge(case, answer, said("mistake", ("outlier", []), (answer.names[0], [])))
+    assert marks == {"mistake found": True, "the effect in the set": True}
+    assert not judge(case, answer, said("mistake", ("outlier", [])))["the effect in the set"]

@@ -94,17 +94,6 @@ def test_a_log_that_is_there_is_added_to(tmp_path: Path) -> None:
         assert none is None
 
 
-@pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
-def test_a_full_disk_ends_the_log_with_one_note_and_nothing_else(capsys: pytest.CaptureFixture[str]) -> None:
-    log = WireLog(FULL, Now())
-    for _ in range(3):
-        log("voltmeter.x", ">", "*IDN?")
-    log.close()
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err == "note: the wire log /dev/full ends here (No space left on device); the run continues\n"
-
-
 def test_lines_of_several_threads_stay_whole(tmp_path: Path) -> None:
     log = WireLog(tmp_path / "wire.log")
     together(*(lambda c=c: [log(f"voltmeter.{c}", ">", c * 200) for _ in range(50)] for c in "xyz"))
@@ -131,7 +120,10 @@ def test_a_run_outlives_its_log_and_a_log_that_cannot_be_is_said_before(
     )
     run = ("run", "short.yaml", "--dry-run", "--bench", "paper-stand")
     assert command(*run, "--name", "full", "--wire-log", FULL) == 0
-    assert capsys.readouterr().err.count("note: the wire log") == 1
+    out, err = capsys.readouterr()
+    note = "note: the wire log /dev/full ends here (No space left on device); the run continues\n"
+    assert [line for line in err.splitlines(keepends=True) if "wire log" in line] == [note]
+    assert "wire log" not in out
     assert command(*run, "--name", "nowhere", "--wire-log", "no-folder/wire.log") == 2
     err = capsys.readouterr().err
     assert "no-folder/wire.log: No such file or directory" in err
