@@ -131,7 +131,10 @@ def report(request: Report, json: JsonOption = None, out: OutOption = None) -> i
 
 @command("bench coefficients unit-17 --as c --as px4")
 def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption = None) -> int:
-    """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot."""
+    """Write coefficients for other software: JSON, CSV, C, Excel, Kalibr, PX4, ArduPilot.
+
+    Exit status 1 if the readings contradict the model.
+    """
     from bench.exchange.forms import print_coefficients
     from bench.services.coefficients import forms_of, nominal_of, require_temperature
     from bench.services.compensation import results_of
@@ -154,7 +157,7 @@ def coefficients(request: Coefficients, json: JsonOption = None, out: OutOption 
                 for line in form.loses(one.result, nominal) if form.loses else ():
                     on.print(f"  {line}")
     printing.write_json([one.result.to_dict() for one in given], json)
-    return 0
+    return 0 if all(one.result.fits for one in given) else 1
 
 
 @command("bench compensate unit-17-over-temperature --reference 23")

@@ -209,18 +209,18 @@ def _tested(of: Autopilot, result: BlockResult, sensor: Sensor, values: dict[str
 
 
 def _head(result: BlockResult, sensor: Sensor, notes: list[str]) -> list[str]:
+    lines = [*result.head(), *sensor.comment_lines(), *notes, _expanded(result, sensor, "offsets", "scales")]
+    return [f"# {line}" for line in lines]
+
+
+def _expanded(result: BlockResult, sensor: Sensor, offset: str, scale: str) -> str:
+    """Return a line with U of the biases and of the scales, which a file calls `offset` and `scale`."""
     u = np.sqrt(np.diag(result.covariance))
     to_ms2 = [abs(STANDARD_GRAVITY / s) for s in sensor.nominal]
     offsets = ", ".join(f"{result.k * own * size:.2g}" for own, size in zip(u[9:], to_ms2, strict=True))
     parts = result.k * np.hypot(u[[0, 4, 8]] / np.abs(np.diag(result.block.K)), result.gravity_u)
     scales = ", ".join(f"{part:.2g}" for part in parts)
-    lines = [
-        *result.head(),
-        *sensor.comment_lines(),
-        *notes,
-        f"U of the offsets: {offsets} m/s^2; of the scales: {scales}, relative",
-    ]
-    return [f"# {line}" for line in lines]
+    return f"U of the {offset}: {offsets} m/s^2; of the {scale}: {scales}, relative"
 
 
 def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
@@ -241,6 +241,7 @@ def kalibr_yaml(result: BlockResult, nominal: Floats | None = None) -> str:
         *sensor.comment_lines(),
         "z = M C a + b in m/s^2, a the specific force on the block's axes: a = C^T M^-1 (z - b)",
         *kalibr_notes(result, nominal),
+        _expanded(result, sensor, "bias", "diagonal of M"),
         "gyroscopes, noise densities, rostopic and update_rate are not known to this bench: add your own",
         *picture(result.unit),
         *check_lines(raw, corrected, "U, then a = C^T M^-1 (z - b)", "m/s^2"),
@@ -265,5 +266,5 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
         "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
         f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
         f"{2e3 * float(np.sin(turn_rad / 2)):.3g} mg, |a| by nothing.",
-        "bias (m/s^2) and C_accel_block (the turn) stand in the file; a reader that takes them loses nothing",
+        "bias (m/s^2) and C_accel_block (the turn) are in the file; a reader that uses them loses the covariance",
     ]

@@ -102,6 +102,7 @@ def c_header(result: BlockResult) -> str:
 #define BENCH_COEFFICIENTS_H
 
 #define COEFFICIENTS_SIMULATED {int(result.simulated)}
+#define COEFFICIENTS_ACCEPTED {int(result.fits)}
 #define COEFFICIENTS_LOCAL_GRAVITY_M_S2 {double(result.g_m_s2)}
 
 /* g per {result.unit} */
@@ -290,7 +291,7 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
 def print_coefficients(result: BlockResult, on: Console) -> None:
     """Print the facts in every file's header, N and U0, misalignment angles, and the intrinsic numbers."""
     for line in result.head():
-        on.print(line, style="bold" if line.startswith("SIMULATED") else None)
+        on.print(line, style="bold" if line.startswith(("SIMULATED", "fit: ")) else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
     on.print(_table(result.inverse.rows, result.k))
     on.print("misalignment angles of the input axes, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i")

@@ -31,6 +31,8 @@ NINE = "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i /
 COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
 OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
 
+NOT_ACCEPTED = "NOT ACCEPTED: the readings contradict the model; find the cause with 'bench diagnose'"
+
 OPEN: Final = (
     *BY_CONVENTION,
     *(name.replace("K", "N") for name in BY_CONVENTION),
@@ -68,6 +70,24 @@ class ReportedNumbers(Derived):
         """Return the members of a `DerivedPart`, and the additional members `said`."""
         values = {row.name: row for row in self.rows}
         return {**said, "values": values, "order": self.names, "covariance": self.covariance}
+
+
+@dataclass(frozen=True)
+class FittedEffect:
+    """A parameter of an effect of the block, such as K2, which the model of a calibration has beside K and U0."""
+
+    name: str
+    value: float
+    u: float
+    unit: str
+
+
+class FittedEffectPart(ResultModel):
+    """A parameter of an effect of the block that a = N (U − U0) leaves out."""
+
+    value: float
+    u: Real = Field(description="standard uncertainty")
+    unit: str
 
 
 class RowPart(ResultModel):
@@ -129,7 +149,8 @@ class CoefficientsResult(ResultModel):
     unit_under_test: BlockPart | None
     made_at: str | None = Field(description="when the run was begun, ISO 8601")
     temperature_c: Real = Field(
-        description="temperature of the block at which the coefficients hold, °C; null if unknown or corrected for"
+        description="temperature of the block at which the coefficients hold, °C: the mean of the readings, or the "
+        "reference if they were corrected for temperature; null if unknown"
     )
     bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
     certificates: list[str] = Field(description="the certificates of the instruments, in words")
@@ -160,6 +181,11 @@ class CoefficientsResult(ResultModel):
     temperature: str | None = Field(
         description="effects of temperature that these numbers omit by request; null for none"
     )
+    fits: bool = Field(default=True, description="false if the readings contradict the model")
+    effects: dict[str, FittedEffectPart] = Field(
+        default={},
+        description="parameters of the block's effects in the model, which these numbers leave out",
+    )
     check: CheckPart
 
 
@@ -182,8 +208,10 @@ class BlockResult:
     bench file of the result, `certificates` those of the instruments. `block_type`, `serial` and `made_at` are
     empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
-    if it is unknown, or if the result was corrected. If free positions alone gave the result, `signs` states
-    the source of the scale factors' signs, "bench file" or "positive" by convention; otherwise it is empty.
+    if it is unknown. `fits` is false if the readings contradict the model; `effects` are the parameters of the
+    block's effects in that model, such as K2, which these numbers omit, too. If free positions alone gave the
+    result, `signs` states the source of the scale factors' signs, "bench file" or "positive" by convention;
+    otherwise it is empty.
     """
 
     block: Block
@@ -204,6 +232,8 @@ class BlockResult:
     temperature: str = ""
     temperature_c: float = math.nan
     signs: str = ""
+    fits: bool = True
+    effects: tuple[FittedEffect, ...] = ()
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -268,6 +298,7 @@ class BlockResult:
         of_g = f" (u = {u_m_s2:.2g} m/s^2, which is in no number per g)" if self.gravity_u else ""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
+            **({} if self.fits else {"fit": NOT_ACCEPTED}),
             "block": self.block_name or "not stated",
             "source": self.source,
             "made at": self.made_at or "not stated",
@@ -284,6 +315,9 @@ class BlockResult:
             told["convention"] = self._convention
         if self.temperature:
             told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"
+        if self.effects:
+            listed = ", ".join(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.effects)
+            told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
         return {name: one_line(text) for name, text in told.items()}
 
     @property
@@ -313,6 +347,7 @@ class BlockResult:
             inverse=self.inverse.part(model="a = N (U - U0), a in g"),
             misalignments=self.misalignments.part(convention=CONVENTION),
             temperature=self.facts().get("temperature"),
+            effects={one.name: one for one in self.effects},
             **({"convention": self._convention} if self.signs else {}),
             check=CheckPart(
                 signs=picture(self.unit),

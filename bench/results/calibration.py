@@ -228,6 +228,10 @@ class CalibrateResult(ResultModel):
     made_at: str | None = Field(description="time of the readings (ISO 8601), if known")
     temperature_c: Real = None
     """mean temperature of the block in the fitted readings, °C; null if unknown"""
+    holds_at_c: Real = None
+    """temperature of the block at which the coefficients hold, °C: `temperature_c`, or the reference of an effect
+    of temperature in the model; null if unknown
+    """
     unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")
     meters: list[str] = Field(description="identity and connection of each voltmeter; empty if not recorded")

@@ -15,7 +15,7 @@ from bench.base.arrays import Floats
 from bench.base.files import write_whole
 from bench.base.languages import message
 from bench.base.tables import as_html, as_text
-from bench.base.text import as_typed
+from bench.base.text import as_typed, listed
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
@@ -24,7 +24,8 @@ from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
 from bench.calibration.temperature import separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
-from bench.model.effects import TEMPERATURE_EFFECTS
+from bench.model.conditions import REFERENCE_C
+from bench.model.effects import with_temperature
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.corrected import VOLTS
 from bench.readings.table import VERIFICATION, is_record
@@ -240,9 +241,17 @@ class CalibrationResult:
         return float(np.mean(known)) if len(known) else math.nan
 
     @property
+    def holds_at_c(self) -> float:
+        """Temperature of the block at which the coefficients hold, °C; NaN if it is unknown."""
+        return REFERENCE_C if self._of_temperature[1] else self.temperature_c
+
+    @property
+    def _of_temperature(self) -> tuple[list[str], bool]:
+        return with_temperature(one.effect for one in self.source.model.effects)
+
+    @property
     def _temperature_effects(self) -> list[str]:
-        names = [one.effect.name for one in self.source.model.effects]
-        return [name for name in names if name in TEMPERATURE_EFFECTS]
+        return self._of_temperature[0]
 
     @property
     def joined_points(self) -> str:
@@ -274,7 +283,9 @@ class CalibrationResult:
     @property
     def _said(self) -> tuple[str, ...]:
         fit = self.calibration.lack_of_fit.diagnose(as_typed(self.source.name))
-        return (*fit, *self.doubts, *self.of_prior, *self.calibration.notes)
+        names, at_reference = self._of_temperature
+        at = (message(f"the coefficients hold at {REFERENCE_C:g} °C, the reference of {listed(names)}"),)
+        return (*fit, *self.doubts, *(at if at_reference else ()), *self.of_prior, *self.calibration.notes)
 
     @property
     def accepted(self) -> bool:
@@ -297,6 +308,7 @@ class CalibrationResult:
             temperature_effects=self._temperature_effects,
             meters=source.meters,
             temperature_c=self.temperature_c,
+            holds_at_c=self.holds_at_c,
             notes=[*self._said, *source.readings.notes],
             skipped_rows=source.readings.skipped,
         ).to_dict()

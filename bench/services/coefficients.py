@@ -16,8 +16,10 @@ from bench.base.files import from_text, read_given, write_whole
 from bench.base.numbers import read_number
 from bench.base.text import cause_of, shortened
 from bench.calibration.result import NOT_ACCEPTED_P, Component, Noise
-from bench.exchange.result import BlockResult
-from bench.model.effects import TEMPERATURE_EFFECTS
+from bench.exchange.result import BlockResult, FittedEffect
+from bench.model.conditions import REFERENCE_C
+from bench.model.effects import AT_REFERENCE, CATALOGUE, TEMPERATURE_EFFECTS
+from bench.model.effects.base import Subsystem
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.table import UNITS, VERIFICATION
 from bench.run.events import MANIFEST
@@ -132,7 +134,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         _block_terms(data, where),
         _wander(data),
         _block_name(data),
-        math.nan if data.get("temperature_effects") else _number_or(math.nan, data.get("temperature_c")),
+        math.nan if _temperature_effects(data) else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
         _channel_noise(data["noise"]),
@@ -211,8 +213,10 @@ def block_result(data: Any, where: str) -> BlockResult:
         gravity_u=_positive(data.get("gravity_u")),
         certificates=tuple(_certificates(data.get("corrections"))),
         temperature=_temperature(data),
-        temperature_c=taken.temperature_c,
+        temperature_c=_holds_at(data),
         signs=_signs(data),
+        fits=taken.fits,
+        effects=tuple(_left_out(data)),
     )
 
 
@@ -226,12 +230,35 @@ def _signs(data: Any) -> str:
 
 def _temperature(data: Any) -> str:
     """Return in words the temperature effects for which a result was corrected; "" for none."""
-    listed = data.get("temperature_effects")
-    names = [*(listed if isinstance(listed, list) else ()), *_part(data, "effects")]
-    used = [
-        effect for effect in TEMPERATURE_EFFECTS if any(str(n).partition(".")[0] == effect for n in names)
-    ]
+    used = _temperature_effects(data)
     return f"{' and '.join(used)} of its model, for which the coefficients are corrected" if used else ""
+
+
+def _temperature_effects(data: Any) -> list[str]:
+    """Return the effects of temperature for which a result was corrected; earlier versions list only some."""
+    listed = data.get("temperature_effects")
+    stated = [str(name) for name in listed] if isinstance(listed, list) else []
+    fitted = (str(name).partition(".")[0] for name in _part(data, "effects"))
+    return list(dict.fromkeys([*stated, *(n for n in fitted if n in {*TEMPERATURE_EFFECTS, *AT_REFERENCE})]))
+
+
+def _holds_at(data: Any) -> float:
+    """Return the temperature at which the coefficients hold, °C; NaN if it is unknown."""
+    if "holds_at_c" in data:
+        return _number_or(math.nan, data["holds_at_c"])
+    used = _temperature_effects(data)
+    if any(name in AT_REFERENCE for name in used):
+        return REFERENCE_C
+    return math.nan if used else _number_or(math.nan, data.get("temperature_c"))
+
+
+def _left_out(data: Any) -> Iterator[FittedEffect]:
+    """Yield the parameters of the block's effects in the model of a result: U = K a + U0 is what they leave."""
+    for name, one in _part(data, "effects").items():
+        effect = CATALOGUE.get(str(name).partition(".")[0])
+        if isinstance(one, Mapping) and (effect is None or effect.subsystem is Subsystem.BLOCK):
+            value, u = (_number_or(math.nan, one.get(key)) for key in ("value", "u"))
+            yield FittedEffect(str(name), value, u, _text(one.get("unit")))
 
 
 def require_temperature(results: Sequence[BlockResult], *, without: bool) -> None:

@@ -186,3 +186,68 @@ def test_a_result_that_used_temperature_is_written_without_it_only_on_request(be
     assert status == 0
     assert "WITHOUT TEMPERATURE, as asked: thermal_bias" in out
     assert "WITHOUT TEMPERATURE" in (tmp_path / "coefficients" / "warm.csv").read_text()
+
+
+def test_an_unfit_calibration_is_written_as_such_and_not_accepted(bench):
+    """The engineer who takes the file alone sees that the readings contradict the model."""
+    told = json.loads((RECORDS / "calibrate.json").read_text())
+    told |= {"fits": False, "effects": {"quadratic_nonlinearity.K2[x]": _effect(400.0, "ug/g^2")}}
+    Path("unfit.json").write_text(json.dumps(told))
+    status, out, _ = bench("coefficients", "unfit.json", "--as", "c", "--json", "out.json")
+    assert status == 1
+    header = Path("coefficients/unfit.h").read_text()
+    for text in (out, header):
+        assert "NOT ACCEPTED" in text
+        assert "quadratic_nonlinearity.K2[x] = 400 ug/g^2" in text
+    result = json.loads(Path("out.json").read_text())
+    keeps_to("coefficients", result)
+    assert not result["fits"]
+    assert result["effects"]["quadratic_nonlinearity.K2[x]"]["value"] == 400.0
+
+
+def _effect(value, unit):
+    return {"value": value, "u": 18.0, "unit": unit, "told_by_data": True}
+
+
+@pytest.mark.parametrize(
+    ("effects", "listed", "holds"),
+    [
+        (["thermal_scale.k_T[x]"], ["thermal_scale"], 20.0),
+        (["thermal_misalignment.m_j[x]"], [], 20.0),  # a result of a version that did not list it
+        (["thermal_emf.emf[x]"], ["thermal_emf"], None),
+    ],
+)
+def test_coefficients_without_temperature_state_the_temperature_at_which_they_hold(
+    bench, effects, listed, holds
+):
+    told = json.loads((RECORDS / "calibrate.json").read_text())
+    told |= {"temperature_c": 31.5, "temperature_effects": listed}
+    told["effects"] = {name: _effect(100.0, "ppm/K") for name in effects}
+    told.pop("holds_at_c", None)
+    Path("warm.json").write_text(json.dumps(told))
+    refused(bench("coefficients", "warm.json"), "--without-temperature")
+    assert bench("coefficients", "warm.json", "--without-temperature", "--json", "out.json")[0] == 0
+    assert json.loads(Path("out.json").read_text())["temperature_c"] == holds
+
+
+@pytest.mark.parametrize(
+    ("effect", "parameters", "holds", "named"),
+    [
+        ("thermal_misalignment", "{m_j: {value: 20 urad/K, u: 1 urad/K}}", 20.0, True),
+        ("thermal_bias", "{b_T: {value: 50 ug/K, u: 1 ug/K}}", 20.0, True),
+        ("quadratic_nonlinearity", "{K2: {value: 0 ug/g^2, u: 30 ug/g^2}}", 23.0, False),
+    ],
+)
+def test_a_calibration_states_the_temperature_at_which_its_coefficients_hold(
+    empty_folder, effect, parameters, holds, named
+):
+    """The mean of the readings is 23 °C; an effect of temperature takes the coefficients to its reference."""
+    shutil.copytree(RECORDS / "finished", "runs/finished")
+    text = f"model_file: 1\nname: warm\neffects:\n  - name: {effect}\n    parameters: {parameters}\n"
+    Path("warm.yaml").write_text(text)
+    result = face.calibrate("finished", model="warm.yaml").to_dict()
+    keeps_to("calibrate", result)
+    assert result["temperature_c"] == pytest.approx(23.0, abs=0.5)
+    assert result["holds_at_c"] == pytest.approx(holds, abs=0.5 if holds > 20 else 0)
+    assert result["temperature_effects"] == ([effect] if named else [])
+    assert any(f"hold at 20 °C, the reference of {effect}" in note for note in result["notes"]) == named

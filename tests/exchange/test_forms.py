@@ -14,7 +14,7 @@ from openpyxl import load_workbook
 
 from bench.exchange.autopilots import diagonal, lower_triangular, sensor_of
 from bench.exchange.forms import FORMS
-from bench.exchange.result import SIMULATED, BlockResult
+from bench.exchange.result import NOT_ACCEPTED, SIMULATED, BlockResult, FittedEffect
 from bench.model.geometry import Block
 from bench.validation.paper_bench import U0, K
 from tests.support.specific_force import specific_force_covariance
@@ -312,6 +312,32 @@ def test_every_form_says_of_which_block_when_with_which_g_and_what_its_u_holds(f
     )
     assert "combined: the stand" in combined or '"combined": true' in combined
     assert SIMULATED not in combined
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_names_a_misfit_and_the_effects_that_it_leaves_out(form):
+    effect = FittedEffect("quadratic_nonlinearity.K2[x]", 390.135, 18.1, "ug/g^2")
+    text = seen(
+        form,
+        BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", fits=False, effects=(effect,), temperature_c=20.0),
+    )
+    assert "quadratic_nonlinearity.K2[x]" in text
+    assert "390.135" in text
+    assert NOT_ACCEPTED in text or '"fits": false' in text
+    assert "block temperature: 20.0 deg C" in text or "20.0" in text
+    assert NOT_ACCEPTED not in seen(form, RESULT)
+
+
+def test_the_header_in_c_says_whether_the_calibration_was_accepted():
+    assert "#define COEFFICIENTS_ACCEPTED 1\n" in text_of("c")
+    unfit = BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", fits=False)
+    assert "#define COEFFICIENTS_ACCEPTED 0\n" in text_of("c", unfit)
+
+
+def test_kalibr_s_file_states_u_of_the_numbers_it_has():
+    line = next(one for one in text_of("kalibr").splitlines() if "U of the bias" in one)
+    first = float(line.split("bias: ")[1].split(",")[0])
+    assert first == pytest.approx(2 * np.sqrt(COVARIANCE[9, 9]) * 9.80665 / 2.18, rel=0.06)
 
 
 @pytest.mark.parametrize("form", [name for name in FORMS if name != "json"])

@@ -18,7 +18,7 @@ from types import ModuleType
 from typing import Final
 
 from bench.model.effects.base import AppliedEffect, Effect, Parameter, Seen, Stage, Subsystem, Values
-from bench.model.effects.formula import ExpressionError, FormulaEffect
+from bench.model.effects.formula import ExpressionError, FormulaEffect, names_in
 
 __all__ = [
     "CATALOGUE",
@@ -33,6 +33,7 @@ __all__ = [
     "Stage",
     "Subsystem",
     "Values",
+    "with_temperature",
 ]
 
 MODULES: Final = ("block", "stand", "voltmeter")
@@ -41,9 +42,21 @@ MODULES: Final = ("block", "stand", "voltmeter")
 TEMPERATURE_EFFECTS: Final = ("thermal_bias", "thermal_scale", "thermal_settling", "thermal_emf")
 """Effects of temperature; without them, a fit absorbs the influence of temperature in the coefficients."""
 
+AT_REFERENCE: Final = ("thermal_bias", "thermal_scale", "thermal_nonlinearity", "thermal_misalignment")
+"""Effects of the block's temperature minus the reference; with one of them, coefficients hold at the reference."""
+
 GROUP: Final = "triaxial_bench.effects"
 
 _OWN: ContextVar[tuple[Effect, ...]] = ContextVar("effects_of_the_user", default=())
+
+
+def with_temperature(effects: Iterable[Effect]) -> tuple[list[str], bool]:
+    """Return the names of the effects of temperature, and whether coefficients then hold at the reference."""
+    given = list(effects)
+    formulas = [e for e in given if isinstance(e, FormulaEffect) and e.subsystem is Subsystem.BLOCK]
+    at_reference = {*AT_REFERENCE, *(e.name for e in formulas if "temperature" in names_in(e.expression))}
+    names = [e.name for e in given if e.name in at_reference or e.name in TEMPERATURE_EFFECTS]
+    return names, not at_reference.isdisjoint(names)
 
 
 def effects_of(module: ModuleType) -> list[Effect]:
