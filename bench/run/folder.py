@@ -21,7 +21,7 @@ from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
 from bench.readings.table import UNORIENTED, VERIFICATION, Readings, readings_of
 from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
-from bench.run.record import History, locked, read_history, trusted
+from bench.run.record import History, cannot_write, locked, read_history, trusted
 from drivers.clock import utc_now
 
 PLAN = "plan.json"
@@ -119,8 +119,14 @@ class Run:
             return True
 
     def results_due(self, until: ExitStack | None = None) -> None:
-        """Note that results are missing; until `until` closes, a lock on this note says that they are coming."""
-        write_whole(self.folder / RESULTS, to_text({"made": None}))
+        """Note that results are missing; until `until` closes, a lock on this note says that they are coming.
+
+        Raises `RecordError` if the folder cannot be written.
+        """
+        try:
+            write_whole(self.folder / RESULTS, to_text({"made": None}))
+        except OSError as error:
+            raise cannot_write(self.folder, error) from error
         if until is not None:
             until.enter_context(locked(self.folder / RESULTS))
 

@@ -118,8 +118,11 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    again = message(f"free disk space, then 'bench resume {resume_to_type(run.folder)}' computes its results")
-    with refusing(message(f"the run is finished and kept; {again}")):
+    remedy = message(
+        "the run is finished and kept; free disk space or make the folder writable, then "
+        f"'bench resume {resume_to_type(run.folder)}' computes its results"
+    )
+    with refusing(remedy):
         found = {**_evaluated(source), **charted(run)}
         concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
         made = [name for name in _MADE if (run.folder / name).is_file()]
