@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
+from itertools import count
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,9 +20,9 @@ from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.config.procedure.plan import Plan, Read
 from bench.readings.corrected import LevelReading, with_levels
-from bench.readings.table import UNORIENTED, VERIFICATION, Readings, readings_of
+from bench.readings.table import UNORIENTED, VERIFICATION, Reading, Readings, readings_of
 from bench.run.events import ENDED, EVENTS, MANIFEST, Manifest, RecordError, RunState, read_manifest, sha256
-from bench.run.record import History, locked, read_history, trusted
+from bench.run.record import History, cannot_write, locked, read_history, trusted
 from drivers.clock import utc_now
 
 PLAN = "plan.json"
@@ -122,8 +123,14 @@ class Run:
             return True
 
     def results_due(self, until: ExitStack | None = None) -> None:
-        """Note that results are missing; a lock on this note, until `until` closes, shows that they are coming."""
-        write_whole(self.folder / RESULTS, to_text({"made": None}))
+        """Note that results are missing; a lock on this note, until `until` closes, shows that they are coming.
+
+        Raises `RecordError` if the folder cannot be written.
+        """
+        try:
+            write_whole(self.folder / RESULTS, to_text({"made": None}))
+        except OSError as error:
+            raise cannot_write(self.folder, error) from error
         if until is not None:
             until.enter_context(locked(self.folder / RESULTS))
 
@@ -156,6 +163,7 @@ class Run:
             None if one.installation in UNORIENTED else (mountings[step], history.remounts[step])
             for step, one in readings.items()
         ]
+        taken = _of_one_mounting(taken, mounted)
         table = with_levels(
             readings_of(taken, str(self.folder), history.power, mounted), self._seen_by_level()
         )
@@ -200,6 +208,23 @@ class Run:
                 f"readings that do not count, because their repetition was asked for and not taken: {withdrawn}"
             )
         return tuple(notes)
+
+
+def _of_one_mounting(taken: Sequence[Reading], mounted: Sequence[tuple[int, int] | None]) -> list[Reading]:
+    """Return readings whose series are of one mounting each: earlier versions could record two in one series."""
+    found: dict[tuple[str, int], tuple[int, int]] = {}
+    free = count(1 + max((one.series for one in taken), default=0))
+    numbers: dict[tuple[str, int, tuple[int, int]], int] = {}
+    apart = []
+    for one, mounting in zip(taken, mounted, strict=True):
+        place = (one.installation, one.series)
+        if mounting is not None and found.setdefault(place, mounting) != mounting:
+            key = (*place, mounting)
+            number = numbers[key] = numbers.get(key) or next(free)
+            apart.append(replace(one, series=number))
+        else:
+            apart.append(one)
+    return apart
 
 
 def statement_in(verdict: Mapping[str, Any]) -> str:

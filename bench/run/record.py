@@ -305,7 +305,7 @@ class Record:
             # unbuffered, so that closing the file does not retry a write that a full disk refused
             self._file = open_regular(folder / EVENTS, "ab")
         except OSError as error:
-            raise _cannot_write(folder, error) from error
+            raise cannot_write(folder, error) from error
         if not _lock(self._file.fileno()):
             self._file.close()
             raise RecordError(f"{folder}: another program is writing this run; wait for it or end it")
@@ -386,7 +386,7 @@ class Record:
                     os.fsync(self._file.fileno())
             except OSError as error:
                 self._cut_back()
-                raise _cannot_write(self.folder, error) from error
+                raise cannot_write(self.folder, error) from error
             self._last_hash = sha256(line)
             self._length += len(line) + 1
             self.count, self.state = event.number, state
@@ -535,7 +535,8 @@ def _refuse_taken(folder: Path) -> None:
         raise RecordError(f"{folder}: a file or folder of that name exists; choose another with --name")
 
 
-def _cannot_write(folder: Path, error: OSError) -> RecordError:
+def cannot_write(folder: Path, error: OSError) -> RecordError:
+    """Return the error of a run's folder that cannot be written, with its remedy."""
     remedy = message("free disk space") if error.errno in DISK_FULL else message("make the folder writable")
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; {remedy}, then "

@@ -37,7 +37,7 @@ from bench.services.requests.shared import (
     runs_to_type,
 )
 from bench.services.source import Request, Source, load_sources
-from bench.services.verification import VerificationResult
+from bench.services.verification import VerdictOptions, VerificationResult
 from drivers.clock import utc_now
 
 if TYPE_CHECKING:
@@ -118,8 +118,11 @@ def make_results(run: Run, interrupts: Interrupts) -> Conclusion:
 def conclude(run: Run) -> Conclusion:
     """Calibrate, verify, report and chart a finished run; write the results into its folder. Raises `Refused`."""
     (source,) = load_sources(Request([str(run.folder)], run.folder.parent))
-    again = message(f"free disk space, then 'bench resume {resume_to_type(run.folder)}' computes its results")
-    with refusing(message(f"the run is finished and kept; {again}")):
+    remedy = message(
+        "the run is finished and kept; free disk space or make the folder writable, then "
+        f"'bench resume {resume_to_type(run.folder)}' computes its results"
+    )
+    with refusing(remedy):
         found = {**_evaluated(source), **charted(run)}
         concluded = Conclusion(run, source, _looks(run), _is_short(run), **found)
         made = [name for name in _MADE if (run.folder / name).is_file()]
@@ -301,12 +304,22 @@ def _next(found: Conclusion) -> Iterator[str]:
 
 
 def run_again(run: Run, procedure: str | None = None, command: str = "run") -> str:
-    """Return the command for `procedure`, else that of `run`, on the bench of `run` and into its folder of runs."""
-    procedure = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
+    """Return the command for `procedure`, else that of `run`, on the bench of `run` and into its folder of runs.
+
+    It judges as `run` did, and has the same goals if the procedure is the same.
+    """
     asked = run.manifest.get("bench_why") == "as asked for"
     bench = f" --bench {_typed(run.manifest['bench'], CONFIG)}" if asked else ""
-    runs = runs_to_type(run.folder.parent) if command == "run" else ""
-    return f"bench {command} {procedure}{bench}{runs}{devices_to_type(run.folder)}"
+    own = procedure or _typed(str(run.manifest.get("procedure", "PROCEDURE")), PROCEDURES)
+    further = ""
+    if command == "run":
+        goals = () if procedure else run.manifest.get("until", ())
+        judged = VerdictOptions.of_run(run)
+        stated = {"limit": judged.limit_g, "rule": judged.rule, "guard-band": judged.guard_band}
+        options = [("until", goal) for goal in goals] + [(n, v) for n, v in stated.items() if v is not None]
+        further = "".join(f" --{name} {as_typed(value)}" for name, value in options)
+        further += runs_to_type(run.folder.parent)
+    return f"bench {command} {own}{bench}{further}{devices_to_type(run.folder)}"
 
 
 def _typed(file: str, kind: str) -> str:

@@ -12,7 +12,7 @@ import bench as face
 from bench.calibration.conformity import Statement
 from bench.calibration.result import FaultyReadings, SpoiledFit
 from bench.run.folder import Run
-from bench.services.conclusion import MOST_LINES, conclude, ending
+from bench.services.conclusion import MOST_LINES, conclude, ending, run_again
 from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
 
@@ -55,6 +55,16 @@ def test_the_next_command_names_another_folder_of_runs(concluded):
     found = replace(concluded, run=Run(Path("their runs/finished")))
     assert ending(found)[-1].endswith(" --runs 'their runs' --bench FILE")
     assert ending(real(found))[-1].endswith(" --runs 'their runs' --unit SERIAL")
+
+
+def test_the_next_command_has_the_goals_and_the_limit_of_the_run(concluded):
+    """Typed as printed, it measured every point, and judged by the limit of the bench file."""
+    found = real(concluded)
+    verdict = {"limit_g": 2.5e-4, "rule": "guarded", "guard_band": 0.8}
+    found.run.manifest.update(until=["all=5e-5", "time=4h"], verdict=verdict)
+    goals, judged = " --until all=5e-5 --until time=4h", " --limit 0.00025 --rule guarded --guard-band 0.8"
+    assert goals + judged in ending(found)[-1]
+    assert run_again(found.run, "verification") == f"bench run verification{judged}"
 
 
 def test_where_the_verification_fails_the_diagnosis_is_next(concluded):

@@ -63,11 +63,30 @@ def test_a_folder_deleted_in_mid_run_stops_the_run(bench, in_mid_run):
     assert "resume" not in err
 
 
+def refused(path, *given, **options):
+    raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+
+def test_results_that_cannot_be_written_leave_the_run_resumable_and_say_what_to_do(bench, monkeypatch):
+    """A folder that is not writable is not cured by disk space, which was the remedy."""
+    shutil.copytree(RECORDS / "finished", "runs/one")
+    with monkeypatch.context() as read_only:
+        read_only.setattr("bench.base.files.write_synced", refused)
+        assert bench("resume", "one")[2] == (
+            "bench: runs/one: cannot be written (Read-only file system); what was recorded is kept; make the "
+            "folder writable, then continue\n"
+        )
+    with monkeypatch.context() as read_only:
+        read_only.setattr("bench.services.conclusion.write_whole", refused)
+        assert (
+            "; the run is finished and kept; free disk space or make the folder writable, then 'bench resume one' "
+            "computes its results\n"
+        ) in bench("resume", "one")[2]
+    assert Run(Path("runs/one")).results_missing
+
+
 def test_a_page_that_cannot_be_written_is_told_with_what_to_do(bench, monkeypatch):
     shutil.copytree(RECORDS / "finished", "runs/one")
-
-    def refused(path, *given, **options):
-        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
     monkeypatch.setattr("bench.services.calibration.report_page", lambda *_: ("<html>", None))
     monkeypatch.setattr("bench.base.files.write_synced", refused)

@@ -43,7 +43,7 @@ def carried_out(tmp_path):
         for index, step in enumerate(plan.steps):
             if index in (remounted or {}):
                 event = {"installation": step.installation, "series": step.series} | remounted[index]
-                series[step.series, step.installation] = event["now_series"]
+                series[event["series"], step.installation] = event["now_series"]
                 record.append("remounted", float(index), **event)
             if isinstance(step, Read):
                 now = series.get((step.series, step.installation), step.series)
@@ -99,6 +99,15 @@ def two_passes_switched_on_again():
         return Turn(f"t{key}", *where, STOP), Read(f"r{key}", *where, 1, 10.0, STOP)
 
     return Plan("test", (Mount("m", "1", 1), *of(1, 1), *of(2, 1), *of(2, 2)), "")
+
+
+def test_two_mountings_that_an_earlier_version_recorded_as_one_series_are_two(carried_out):
+    """It noted a remounting under the series of the mounting (1), while the block was in series 2."""
+    plan = replace(TWICE_ON, steps=(*TWICE_ON.steps[:5], read("1", 2, 2), *TWICE_ON.steps[5:]))
+    run = carried_out(plan, {5: {"series": 1, "now_series": 3}})
+    assert [*run.history.readings.values()][3].series == 2
+    assert run.readings().series.tolist() == [1, 1, 2, 3, 1, 2, 1]
+    assert mountings(run) == ["1", "1", "1", "2", "3", "3", "4"]
 
 
 class InLastPass(Controls):
