@@ -248,7 +248,8 @@ class TemperatureModel:
 
     `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
     `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row. It includes the uncertainty
-    due to terms that the data did not support, if the data chose the degrees. `fitted` tests the fit against the
+    due to terms that the data did not support, if the data chose the degrees. `of_assumed` is its part due to stand
+    angles of merely assumed size. `fitted` tests the fit against the
     noise. `curve` tests the polynomials against coefficients that are free at each plateau (None if a plateau alone
     does not determine them).
     """
@@ -261,6 +262,7 @@ class TemperatureModel:
     degrees: Ints
     values: Floats
     covariance: Floats
+    of_assumed: Floats
     hysteresis: ThermalHysteresis | None
     plateaus: tuple[PlateauResult, ...]
     noise: Noise
@@ -269,6 +271,11 @@ class TemperatureModel:
     readings: int
     skipped: int
     notes: tuple[str, ...] = ()
+
+    @property
+    def constant(self) -> Ints:
+        """The places (12,) of the coefficients at the reference temperature, in `covariance`."""
+        return np.asarray(np.arange(len(self.values)) * self.values.shape[1], dtype=np.int64)
 
     def powers(self, temperature_c: float | Floats) -> Floats:
         """Return (T - reference)^d for d = 0…D, shape (…, D + 1)."""

@@ -37,7 +37,7 @@ from bench.calibration.temperature import (
     sort_readings,
 )
 from bench.model.forward import ForwardModel
-from bench.model.geometry import Block, linear_columns
+from bench.model.geometry import STAND_ANGLES, Block, linear_columns
 from bench.readings.table import Readings
 
 WEAKEST: Final = 1e-3
@@ -50,8 +50,8 @@ class ThermalProblem:
 
     `signal` (n, 3) are the readings, `basis` (n, m) the values of m basis functions at the readings. `terms` (12,
     m) is true for each coefficient and basis function that the fit estimates. `problem` has the conditions, with an
-    index for each mounting, and the stand angles. `groups` (n,) numbers the groups of repeats. `floor` is the lower
-    limit of the noise, in the unit of the signal.
+    index for each mounting, and the stand angles; the size of those in `assumed` is only assumed. `groups` (n,)
+    numbers the groups of repeats. `floor` is the lower limit of the noise, in the unit of the signal.
     """
 
     problem: Problem
@@ -60,6 +60,7 @@ class ThermalProblem:
     terms: Mask
     groups: Ints
     floor: float
+    assumed: frozenset[str] = frozenset()
 
     def force(self, others: Floats, setting_rad: float = 0.0) -> Floats:
         """Return the specific force of each row on the axes of the block, g, shape (n, 3).
@@ -113,13 +114,15 @@ class ThermalProblem:
 class ThermalFit:
     """A fit over temperature: estimates `values` (12, m), zero for terms not fitted, and their covariance.
 
-    `covariance` (t, t) has the t fitted terms in the order of `numpy.nonzero(terms)`. `others` (q,) are the stand
-    angles, rad. `misfit` is the chi-square of residuals and priors; `residuals` and `slope` (du/dphi) are (n, 3).
+    `covariance` (t, t) has the t fitted terms in the order of `numpy.nonzero(terms)`; `of_assumed` (t, t) is its
+    part due to stand angles of merely assumed size. `others` (q,) are the stand angles, rad. `misfit` is the
+    chi-square of residuals and priors; `residuals` and `slope` (du/dphi) are (n, 3).
     """
 
     values: Floats
     terms: Mask
     covariance: Floats
+    of_assumed: Floats
     others: Floats
     noise: Noise
     misfit: float
@@ -168,7 +171,10 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
     pulls = task.problem.pulls(others)
     misfit = float(np.sum(whitened**2) + np.sum(pulls**2))
     own = covariance[:count, :count]
-    return ThermalFit(values, task.terms, own, others, sizes, misfit, residuals, system.slope)
+    at = count + np.flatnonzero([STAND_ANGLES[one.column] in task.assumed for one in task.problem.stand])
+    across = covariance[:count, at]
+    of_assumed = across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T)
+    return ThermalFit(values, task.terms, own, of_assumed, others, sizes, misfit, residuals, system.slope)
 
 
 def _linearise(task: ThermalProblem, values: Floats, others: Floats) -> System:
@@ -287,6 +293,7 @@ class _Body:
     floor: float
     reference_c: float
     scale_k: float
+    assumed: frozenset[str]
 
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
         """Return the powers 0…degree (n, degree + 1) of the scaled temperature of each row.
@@ -305,7 +312,13 @@ class _Body:
         every = np.ones((FIXED, basis.shape[1]), dtype=np.bool_)
         signal = self.sorted.rows.signal
         return ThermalProblem(
-            self.problem, signal, basis, every if terms is None else terms, self.repeats, self.floor
+            self.problem,
+            signal,
+            basis,
+            every if terms is None else terms,
+            self.repeats,
+            self.floor,
+            self.assumed,
         )
 
 
@@ -316,16 +329,18 @@ def temperature_model(
     g_m_s2: float,
     reference_c: float = 23.0,
     degree: int | None = None,
+    *,
+    assumed_u: Mapping[str, float] | None = None,
 ) -> TemperatureModel:
     """Fit the twelve coefficients as polynomials in temperature to the readings of all tables.
 
-    `stand_u` is as for `calibrate`. Without `degree` the data choose the degree of each coefficient (see
-    `choose_degrees`), from the highest that the temperatures allow downwards; the covariance then includes the
-    uncertainty due to dropped terms. Raises `CalibrationError` if the model has effects, a row has no temperature,
-    the temperatures are fewer than two or do not determine the polynomials, or the reference is outside their
-    range.
+    `stand_u` and `assumed_u` are as for `calibrate`; each mounting has angles of its own. Without `degree` the data
+    choose the degree of each coefficient (see `choose_degrees`), from the highest that the temperatures allow
+    downwards; the covariance then includes the uncertainty due to dropped terms. Raises `CalibrationError` if the
+    model has effects, a row has no temperature, the temperatures are fewer than two or do not determine the
+    polynomials, or the reference is outside their range.
     """
-    body = _body(tables, model, stand_u, reference_c)
+    body = _body(tables, model, stand_u, assumed_u or {}, reference_c)
     highest, by_side = _highest(body, degree)
     sides = body.sorted.branch / 2.0 * body.sorted.both_sides
     basis = np.column_stack([body.powers(highest), sides] if by_side else [body.powers(highest)])
@@ -341,7 +356,7 @@ def temperature_model(
     task = body.task(basis, terms)
     best = fit(task, full.noise)
     plateaus, free = _plateaus(body, best, basis)
-    values, covariance = _in_kelvins(best, choice, body.scale_k)
+    values, covariance, of_assumed = _in_kelvins(best, choice, body.scale_k)
     temperature_c = body.sorted.rows.temperature_c
     return TemperatureModel(
         unit=body.sorted.rows.unit,
@@ -352,6 +367,7 @@ def temperature_model(
         degrees=choice.degrees,
         values=values,
         covariance=covariance,
+        of_assumed=of_assumed,
         hysteresis=_hysteresis(best) if by_side else None,
         plateaus=plateaus,
         noise=full.noise,
@@ -364,7 +380,11 @@ def temperature_model(
 
 
 def _body(
-    tables: Sequence[Readings], model: ForwardModel, stand_u: Mapping[str, float], reference_c: float
+    tables: Sequence[Readings],
+    model: ForwardModel,
+    stand_u: Mapping[str, float],
+    assumed_u: Mapping[str, float],
+    reference_c: float,
 ) -> _Body:
     for table in tables:
         usable_rows(table, model)
@@ -392,11 +412,12 @@ def _body(
     _, repeats = np.unique(key, axis=0, return_inverse=True)
     return _Body(
         found,
-        make_problem(model, conditions, stand_u),
+        make_problem(model, conditions, {**stand_u, **assumed_u}),
         repeats.ravel(),
         noise_floor(rows.signal, rows.resolution),
         reference_c,
         max(high - reference_c, reference_c - low),
+        frozenset(assumed_u),
     )
 
 
@@ -424,21 +445,26 @@ def _highest(body: _Body, degree: int | None) -> tuple[int, bool]:
     )
 
 
-def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats]:
-    """Return values (12, D + 1) per K^d and their covariance, which covers the doubts about omitted terms."""
+def _in_kelvins(best: ThermalFit, choice: DegreeChoice, scale_k: float) -> tuple[Floats, Floats, Floats]:
+    """Return values (12, D + 1) per K^d, their covariance, and its part due to angles of assumed size.
+
+    The covariance covers the doubts about omitted terms.
+    """
     count = choice.doubts.shape[2]
     coefficient, function = np.nonzero(best.terms)
     own = function < count
     at = coefficient[own] * count + function[own]
     covariance = np.zeros((FIXED * count, FIXED * count))
+    of_assumed = np.zeros_like(covariance)
     covariance[np.ix_(at, at)] = best.covariance[np.ix_(own, own)]
+    of_assumed[np.ix_(at, at)] = best.of_assumed[np.ix_(own, own)]
     for doubt in choice.doubts:
         for j, change in enumerate(doubt):
             block = slice(j * count, (j + 1) * count)
             covariance[block, block] += np.outer(change, change)
     unit = scale_k ** -np.arange(count, dtype=np.float64)
-    every = np.tile(unit, FIXED)
-    return best.values[:, :count] * unit, covariance * np.outer(every, every)
+    every = np.outer(*2 * [np.tile(unit, FIXED)])
+    return best.values[:, :count] * unit, covariance * every, of_assumed * every
 
 
 def _hysteresis(best: ThermalFit) -> ThermalHysteresis:

@@ -152,7 +152,8 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
             )
     if problems:
         raise Refused("\n".join(problems))
-    there = {s.code: replace(_read(Path(given[s.code]), g_m_s2), block=kit.block) for s in kit.stops}
+    read = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}
+    there = {code: replace(one, block=kit.block) for code, (one, _) in read.items()}
     pilots = [s.code for s in kit.stops if s.pilot]
     once = [s.code for s in kit.stops if s.code not in pilots[1:]]
     units = {one.unit: code for code, one in there.items()}
@@ -184,7 +185,7 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
         dark=dict(zip(INTRINSIC, dark.tolist(), strict=True)), laboratories=laboratories_of(once, judged),
         transport_p=p_same, drifts=parts, transport=dict(zip(INTRINSIC, transport.tolist(), strict=True)), off=off,
         accepted=not off and (p_same is None or p_same >= CHANGED_P) and not any(one.changed for one in parts),
-        notes=[f"{code}: of simulated instruments" for code in once if there[code].simulated],
+        notes=[f"{code}: {note}" for code, (_, notes) in read.items() for note in notes],
     )  # fmt: skip
 
 
@@ -221,11 +222,21 @@ def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_
             before = stop.code, run
 
 
-def _read(path: Path, g_m_s2: float | None) -> Snapshot:
+def _read(path: Path, g_m_s2: float | None) -> tuple[Snapshot, list[str]]:
+    """Return a result, and notes on it; none on its signature, which names the laboratory."""
     if path.suffix.lower() in {".xml", ".pdf"}:
-        return snapshot_of(coefficients_in(path, g_m_s2, "0 V")[0], str(path))
-    (one,) = snapshots_in(path)
-    return one
+        data, (_, *notes) = coefficients_in(path, g_m_s2, "0 V")
+        one = snapshot_of(data, str(path))
+    else:
+        (one,), notes = snapshots_in(path), []
+    if one.simulated:
+        notes.append("of simulated instruments")
+    if one.block_terms is None:
+        notes.append(
+            "states no part of u from K2 and K3 of the block, which all laboratories share; u of the consensus "
+            "may be too small"
+        )
+    return one, notes
 
 
 def _by_code(given: Sequence[str]) -> dict[str, list[str]]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.files import to_text
-from bench.base.text import as_typed, repeated
+from bench.base.text import as_typed, listed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
@@ -27,7 +27,6 @@ from bench.calibration.tumble import TumbleView, combine, tumble_view
 from bench.calibration.verification import Verification, verify
 from bench.exchange.checks import c_header, json_test, table_checks, table_csv
 from bench.exchange.result import BlockResult
-from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import read_centrifuge
 from bench.readings.table import Readings
 from bench.results.compensation import CompensateResult, TumbleResult, compensate_result, tumble_result
@@ -44,11 +43,12 @@ OVER_TEMPERATURE: Final = ("temperature", "thermometer")
 
 
 def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...]:
-    """Return the bench errors that no reading shows; they are equal at all temperatures.
+    """Return the bench errors that no reading shows; all but angles of a mounting are equal at all temperatures.
 
-    The readings are corrected to the reference temperature. Otherwise the fit would take their dependence on the
-    temperature for noise, which enlarges the part of the third mounting angle. A mounting may last for several
-    series, as in the fit of the model.
+    Angles of assumed size are in the fit of the model; their covariance is that at its reference. The readings are
+    corrected to the reference temperature. Otherwise the fit would take their dependence on the temperature for
+    noise, which enlarges the part of the third mounting angle. A mounting may last for several series, as in the
+    fit of the model.
     """
     own = sort_readings([source.readings])
     readings = replace(_at(model.reference_c, own.rows, model), series=own.mounting)
@@ -62,7 +62,12 @@ def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...
         find_shared=False,
     )
     signed = sign(found, readings, source.bench, source.model, source.traced.day, source.known_meters)
-    return tuple(s for s in signed.sources if s.name not in OVER_TEMPERATURE)
+    constant = np.ix_(*2 * [model.constant])
+    return tuple(
+        replace(s, covariance=model.of_assumed[constant]) if s.name in source.assumed_u else s
+        for s in signed.sources
+        if s.name not in OVER_TEMPERATURE
+    )
 
 
 def _at(temperature_c: float, readings: Readings, model: TemperatureModel) -> Readings:
@@ -77,10 +82,9 @@ def _at(temperature_c: float, readings: Readings, model: TemperatureModel) -> Re
 
 def _with(model: TemperatureModel, sources: Iterable[SourceOfError]) -> TemperatureModel:
     """Return the model with these errors in the covariance of the terms at the reference temperature."""
-    hidden = sum((s.covariance for s in sources), np.zeros((len(COEFFICIENTS),) * 2))
-    constant = np.arange(len(COEFFICIENTS)) * model.values.shape[1]
     covariance: Floats = model.covariance.copy()
-    covariance[np.ix_(constant, constant)] += hidden
+    for source in sources:
+        covariance[np.ix_(model.constant, model.constant)] += source.covariance
     return replace(model, covariance=covariance)
 
 
@@ -123,15 +127,24 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
         )
     tables = [source.readings for source in loaded]
     degree = _degree(request.degree)
-    shown = temperature_model(tables, first.model, first.stand_u, first.g_m_s2, request.reference, degree)
+    shown = temperature_model(
+        tables, first.model, first.stand_u, first.g_m_s2, request.reference, degree, assumed_u=first.assumed_u
+    )
+    if others := [source.name for source in loaded if source.meters != first.meters]:
+        note = (
+            f"read by other meters than {first.name}: {listed(others)}; the terms of temperature leave out the "
+            "differences of their errors"
+        )
+        shown = replace(shown, notes=(*shown.notes, note))
     hidden = _hidden(first, shown)
-    combined, same_meters = _with(shown, hidden), _with(shown, (s for s in hidden if not s.cancels))
+    further = [s for s in hidden if s.name not in first.assumed_u]
+    combined, same_meters = _with(shown, further), _with(shown, (s for s in further if not s.cancels))
     table = make_table(combined, first.bench.unit_under_test.range, request.step)
     checks = tuple(check for source in loaded for check in _checks(source, same_meters))
     checked = table_checks(combined, table)
     result = compensate_result(
         combined,
-        of_readings=shown.covariance,
+        of_readings=shown.covariance - shown.of_assumed,
         hidden=hidden,
         shown=table,
         checks=checks,

@@ -9,6 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from bench.calibration import CalibrationError, calibrate
 from bench.calibration.temperature import inverse_entries, make_table
@@ -167,6 +168,28 @@ def test_files_of_one_temperature_each_make_one_model():
     error = model.coefficients(GRID_C[8:25]) - coefficients(polynomials, GRID_C[8:25])
     u = np.sqrt([np.diag(model.covariance_at(t)) for t in GRID_C[8:25]])
     assert np.max(np.abs(error) / u) < 5.0
+
+
+@pytest.mark.slow
+def test_u_of_a_temperature_term_knows_that_the_block_was_mounted_anew_at_each_temperature():
+    """Kyz and Kzy of each temperature have another mounting roll: seeds 60 to 69, chi-square of 10 slopes."""
+    roll, z = np.radians(30 / 3600), []
+    for seed in range(60, 70):
+        rng = np.random.default_rng([SEED, seed])
+        polynomials = truth(rng, (1e-4,))
+        tables = [simulate(rng, polynomials, cycle=(t,), roll_rad=roll) for t in (-20.0, 0.0, 23.0, 50.0)]
+        model = temperature_model(
+            tables, MODEL, STAND_U, 9.81, degree=1, assumed_u={"mounting_roll": float(roll)}
+        )
+        u, of_readings = (
+            np.sqrt(np.diag(c)).reshape(12, -1)
+            for c in (model.covariance, model.covariance - model.of_assumed)
+        )
+        z.append((model.values[5, 1] - polynomials[5, 1]) / u[5, 1])
+        # installation 1 alone tells Kyz, in one mounting at each of four temperatures
+        assert u[5, 0] == pytest.approx(2.14 * roll / np.sqrt(4), rel=0.2)
+        assert of_readings[5, 0] < 0.2 * u[5, 0]
+    assert chi2.ppf(1e-4, 10) < np.sum(np.square(z)) < chi2.ppf(1 - 1e-4, 10)
 
 
 def test_a_few_readings_without_repeats_take_the_noise_from_all_residuals():

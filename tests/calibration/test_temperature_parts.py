@@ -105,7 +105,9 @@ def line():
     noise = Noise(1.0, 0.0, 500.0, "repeats")
     nothing = np.zeros((1, 3))
     terms = np.ones((12, 4), dtype=bool)
-    whole = ThermalFit(value.reshape(12, 4), terms, covariance, np.zeros(0), noise, 0.0, nothing, nothing)
+    whole = ThermalFit(
+        value.reshape(12, 4), terms, covariance, 0.0 * covariance, np.zeros(0), noise, 0.0, nothing, nothing
+    )
     return whole, design, target
 
 
@@ -141,10 +143,7 @@ def test_terms_that_are_chance_are_dropped_and_their_doubt_is_what_they_would_ch
 
 def test_of_a_full_degree_there_is_no_doubt(line):
     whole, _, _ = line
-    steep = ThermalFit(
-        whole.values + np.array([0, 0, 0, 9.0]), whole.terms, whole.covariance, whole.others, whole.noise, 0.0,
-        whole.residuals, whole.slope,
-    )  # fmt: skip
+    steep = replace(whole, values=whole.values + np.array([0, 0, 0, 9.0]))
     choice = choose_degrees(steep, 3)
     assert choice.degrees.tolist() == [3] * 12
     assert not np.any(choice.doubts)

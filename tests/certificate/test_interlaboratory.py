@@ -73,6 +73,9 @@ def test_from_the_plan_to_the_report(bench, planned, wrong):
     assert found["off"] == off
     assert status == (1 if wrong else 0)
     assert out.count("OFF") == len(off)
+    assert any(note.startswith(f"{code}: it states no covariance") for note in found["notes"])
+    assert any(note.startswith(f"{code}: states no part of u from K2 and K3") for note in found["notes"])
+    assert not any("signature" in note for note in found["notes"])
     assert found["transport_p"] > 0.01
     page = Path("report/kit.html").read_text(encoding="utf-8")
     assert "<svg" in page

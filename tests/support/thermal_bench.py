@@ -41,11 +41,12 @@ def simulate(
     passes: int = 3,
     hysteresis: np.ndarray | float = 0.0,
     drift_k: float = 0.2,
+    roll_rad: float = 0.0,
 ) -> Readings:
     """Simulate the procedure 'temperature': each installation is mounted once and taken through the cycle.
 
     `hysteresis` (12,) is the rising minus the falling branch; temperatures scatter by `drift_k` (1 sigma).
-    Installation 2 has the cycle `cycle_2`, if given.
+    Installation 2 has the cycle `cycle_2`, if given. The third mounting angle scatters by `roll_rad`.
     """
     one, pass_number, point, phi = design(passes)
     columns: dict[str, list[Any]] = {
@@ -68,6 +69,10 @@ def simulate(
     alpha1, alpha2, alpha3 = rng.normal(0.0, sizes, (2, 3))[at_label].T
     setting = rng.normal(0.0, SETTING_U_RAD, n)
     force = specific_force(columns["label"], angle, alpha1, alpha2, alpha3, setting)
+    if roll_rad:
+        # about x of the platform: the block's other two axes turn in opposite senses in the two installations
+        roll = np.array([1.0, -1.0])[at_label] * rng.normal(0.0, roll_rad, 2)[at_label]
+        force[:, 1:] = force[:, 1:] + roll[:, None] * force[:, :0:-1] * np.array([1.0, -1.0])
     at = coefficients(polynomials, temperature) + np.outer(columns["branch"], np.ones(12)) * hysteresis / 2
     signal = np.einsum("nij,nj->ni", at[:, :9].reshape(n, 3, 3), force) + at[:, 9:]
     return make_readings(

@@ -124,7 +124,7 @@ def _shown_coefficients(root: Node) -> tuple[Floats, dict[str, CertifiedCoeffici
 def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     """Return the root of a DCC in XML or PDF, which may be signed, and notes on its signature and validity.
 
-    Raises `Refused` if the file cannot be read or is not intact, or if a register beside it is damaged.
+    Raises `Refused` if the file cannot be read or is not intact.
     """
     try:
         with refusing("check name and permissions", path, reading=True):
@@ -154,9 +154,12 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
 
 
 def _why_not_valid(path: Path, root: Node) -> tuple[str, ...]:
-    """Return a sentence if the register beside a certificate has it as revoked or superseded; else ()."""
+    """Return a sentence if the register beside a certificate has it as revoked or superseded, or is damaged."""
     place, number = path.absolute().parent, said(root, f"{_CORE}/dcc:uniqueIdentifier")
-    status = Register(place).read_lines().standings.get(number) if (place / LINES).is_file() else None
+    try:
+        status = Register(place).read_lines().standings.get(number) if (place / LINES).is_file() else None
+    except Refused as reason:
+        return (f"not known to be valid: {reason}",)
     if status is None or status.state == ISSUED:
         return ()
     if status.state == REVOKED:

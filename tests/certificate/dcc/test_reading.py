@@ -77,6 +77,14 @@ def test_coefficients_of_ours_come_back_whole(bench, ours, issued_certificate):
     assert taken.simulated
 
 
+def test_beside_a_damaged_register_it_is_read_with_a_note(bench, ours):
+    Path("register.jsonl").write_text("no line\n", encoding="utf-8")
+    status, _, err = bench("certificate", "read", ours, "--out", "coefficients.json")
+    assert status == 0
+    assert "not known to be valid: " in err
+    assert "not a line of a register" in err
+
+
 def test_ours_with_another_value_in_its_list_is_refused(bench, ours, issued_certificate):
     text = Path(ours).read_text(encoding="utf-8")
     value = repr(issued_certificate.found.coefficients["Kxx"].value)
