@@ -31,7 +31,7 @@ import numpy as np
 from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from benchmarks.campaign import PROGRAM, Cost, arguments, cost_of, done
-from tests.support.laboratory import bench_text
+from tests.support.laboratory import bench_text, write_events
 
 # --- the folders -----------------------------------------------------------------------------------------
 
@@ -112,29 +112,26 @@ def copied(template: dict[str, str], out: Path, run: int, unit: int, bench: int,
     }  # fmt: skip
     files = {"plan.json": template["plan.json"], "procedure.yaml": template["procedure.yaml"]}
     files |= {"bench.yaml": bench_file, "run.json": json.dumps(manifest)}
-    head, lines = sha256(files["run.json"]), []
-    for number, line in enumerate(template["events.jsonl"].splitlines(), 1):
-        event = json.loads(line)
-        event |= {"time": f"{stamp}.{number:06}+00:00", "prev": head}
-        lines.append(_renamed(json.dumps(event, ensure_ascii=False), serials))
-        head = sha256(lines[-1])
-    files["events.jsonl"] = "\n".join([*lines, ""])
+    folder = out / name
+    folder.mkdir()
+    for file, text in files.items():
+        (folder / file).write_text(text, encoding="utf-8")
+    lines = enumerate(_renamed(template["events.jsonl"], serials).splitlines(), 1)
+    events = [{**json.loads(line), "time": f"{stamp}.{number:06}+00:00"} for number, line in lines]
+    head = write_events(folder, events)
     for result in ("calibrate.json", "verify.json"):
         found = json.loads(_renamed(template[result], serials).replace("of bench", f"of bench-{bench:02}"))
         of = {"name": f"bench-{bench:02}", "file": f"{name}/bench.yaml", "sha256": digest}
         found |= {"bench": {**found["bench"], **of}, "corrections": []}
         if result == "calibrate.json":
-            record = {"events": len(lines), "head": head}
+            record = {"events": len(events), "head": head}
             found |= {
                 "source": name,
                 "made_at": manifest["created"],
                 "unit_under_test": block,
                 "record": record,
             }
-        files[result] = json.dumps(found) + "\n"
-    (out / name).mkdir()
-    for file, text in files.items():
-        (out / name / file).write_text(text, encoding="utf-8")
+        (folder / result).write_text(json.dumps(found) + "\n", encoding="utf-8")
 
 
 def sha256(text: str) -> str:

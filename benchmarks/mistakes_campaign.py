@@ -294,12 +294,8 @@ def table(outcomes: Sequence[Outcome]) -> tuple[list[str], bool]:
     return lines, kept and not troubles
 
 
-def _one(part: str, seed: int, given: dict[str, Any], task: tuple[str, int]) -> Outcome:
-    (kind, number), options = task, dict(given)
-    if part == "whole":
-        return whole(kind, number, seed, **options)
-    options.pop("folder", None)
-    return watched(kind, number, seed, **options)
+def _one(part: str, seed: int, options: dict[str, Any], task: tuple[str, int]) -> Outcome:
+    return (whole if part == "whole" else watched)(*task, seed, **options)
 
 
 def main() -> int:
@@ -311,7 +307,8 @@ def main() -> int:
     )  # fmt: skip
     begun_s = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        options = {"procedure": given.procedure, "bench_name": given.bench, "folder": Path(folder)}
+        options = {"procedure": given.procedure, "bench_name": given.bench}
+        options |= {"folder": Path(folder)} if given.part == "whole" else {}
         tasks = [(kind, number) for number in range(given.runs) for kind in given.kinds or KINDS]
         tasks += [(CLEAN, number) for number in range(given.clean)]
         outcomes = list(spread(partial(_one, given.part, given.seed, options), tasks, given.jobs))

@@ -54,66 +54,64 @@ OWN: Final[dict[str, Draw]] = {
 SIZE: Final = 30e-6
 
 
+Column = Floats | Callable[[Floats], Floats]
+"""A series (n,) over the rows, or a function of the input of a stage."""
+
+
 def _one_channel(
-    name: str, rng: np.random.Generator, column: Floats | Callable[[Floats], Floats], stage: Stage = "block"
-) -> Truth:
-    """Return an effect that adds a column to one channel, in units of 30 µg or 30 µV.
+    name: str, column: Callable[[np.random.Generator, Run], Column], stage: Stage = "block"
+) -> Draw:
+    """Return a `Draw` of an effect that adds a column to one channel, in units of 30 µg or 30 µV."""
 
-    `column` is a series (n,) over the rows, or a function of the input of `stage`.
-    """
-    channel = int(rng.integers(3))
+    def draw(rng: np.random.Generator, run: Run) -> Truth:
+        drawn, channel = column(rng, run), int(rng.integers(3))
 
-    def act(_: Run, seen: Floats, x: float) -> Floats:
-        added = column(seen) if callable(column) else column[:, None]
-        return np.asarray(x * SIZE * added * np.eye(3)[channel])
+        def act(_: Run, seen: Floats, x: float) -> Floats:
+            added = drawn(seen) if callable(drawn) else drawn[:, None]
+            return np.asarray(x * SIZE * added * np.eye(3)[channel])
 
-    return Truth(name, stage, act, channels=(CHANNELS[channel],))
+        return Truth(name, stage, act, channels=(CHANNELS[channel],))
+
+    return draw
 
 
-def _bias_jump(rng: np.random.Generator, run: Run) -> Truth:
+def _jump(rng: np.random.Generator, run: Run) -> Floats:
     mount = rng.choice(run.calibration_mounts)
     rows = np.flatnonzero((run.mount == mount) & run.fitted)
     row = int(rng.choice(rows[4:-4]))
-    after = (np.arange(len(run.mount)) >= row).astype(float)
-    return _one_channel("bias_jump", rng, after)
+    return (np.arange(len(run.mount)) >= row).astype(float)
 
 
-def _random_walk(rng: np.random.Generator, run: Run) -> Truth:
-    return _one_channel("random_walk", rng, np.cumsum(rng.normal(size=len(run.mount))))
-
-
-def _flicker(rng: np.random.Generator, run: Run) -> Truth:
+def _flicker(rng: np.random.Generator, run: Run) -> Floats:
     """Return noise with a 1/f power spectrum over the readings, made by shaping a white spectrum."""
     n = len(run.mount)
     spectrum = np.fft.rfft(rng.normal(size=4 * n))
     spectrum[1:] /= np.sqrt(np.arange(1, len(spectrum)))
     spectrum[0] = 0
     course = np.fft.irfft(spectrum)[:n]
-    return _one_channel("flicker_noise", rng, course / np.std(course))
+    return np.asarray(course / np.std(course))
 
 
-def _cable_torque(rng: np.random.Generator, run: Run) -> Truth:
-    return _one_channel("cable_torque", rng, np.sin(run.head_angle / 2))
-
-
-def _pickup(rng: np.random.Generator, run: Run) -> Truth:
+def _pickup(rng: np.random.Generator, run: Run) -> Floats:
     """Return the effect of leads that pass a magnet in one mounting."""
     mount = rng.choice(run.calibration_mounts)
-    course = np.cos(2 * run.head_angle + rng.uniform(0, 2 * np.pi)) * (run.mount == mount)
-    return _one_channel("single_installation_pickup", rng, course)
+    return np.asarray(np.cos(2 * run.head_angle + rng.uniform(0, 2 * np.pi)) * (run.mount == mount))
 
 
-def _sticking_angle(rng: np.random.Generator, run: Run) -> Truth:
+def _sticking_angle(rng: np.random.Generator, run: Run) -> Floats:
     """Return the effect of a pendulum that sticks at one angle of one mounting, in each pass."""
     mount = rng.choice(run.calibration_mounts)
     rows = (run.mount == mount) & run.fitted
     angle = rng.choice(np.unique(run.angle[rows])[1:-1])
-    return _one_channel("sticking_angle", rng, (rows & (run.angle == angle)).astype(float))
+    return np.asarray(rows & (run.angle == angle), dtype=float)
 
 
-def _quadratic_drift(rng: np.random.Generator, run: Run) -> Truth:
-    t = run.time_s / run.time_s[run.fitted].max()
-    return _one_channel("quadratic_drift", rng, 4 * (t - 0.5) ** 2)
+def _burst(rng: np.random.Generator, run: Run) -> Floats:
+    """Return the noise of a channel that is noisy in one pass of one mounting."""
+    mount = rng.choice(run.calibration_mounts)
+    number = rng.choice(np.unique(run.pass_number[(run.mount == mount) & run.fitted]))
+    rows = (run.mount == mount) & (run.pass_number == number) & run.fitted
+    return np.asarray(rows * rng.normal(size=len(rows)))
 
 
 def _third_harmonic_wobble(rng: np.random.Generator, run: Run) -> Truth:
@@ -133,24 +131,6 @@ def _dead_band(rng: np.random.Generator, run: Run) -> Truth:
     return Truth("dead_band", "block", act, channels=(CHANNELS[channel],), parameters={"level_g": level})
 
 
-def _fifth_power(rng: np.random.Generator, run: Run) -> Truth:
-    return _one_channel("fifth_power", rng, lambda force: force**5)
-
-
-def _two_time_constants(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of two opposed thermal junctions in the leads of a channel, one fast and one slow."""
-    course = np.exp(-run.time_s / (90 * 60.0)) - 0.8 * np.exp(-run.time_s / (12 * 60.0))
-    return _one_channel("two_time_constants", rng, course, "voltmeter")
-
-
-def _noise_burst(rng: np.random.Generator, run: Run) -> Truth:
-    """Return the effect of a channel that is noisy in one pass of one mounting."""
-    mount = rng.choice(run.calibration_mounts)
-    number = rng.choice(np.unique(run.pass_number[(run.mount == mount) & run.fitted]))
-    rows = (run.mount == mount) & (run.pass_number == number) & run.fitted
-    return _one_channel("noise_burst", rng, rows * rng.normal(size=len(rows)))
-
-
 def _unknown(draw: Draw) -> Draw:
     """Return an effect that a user's formula would describe, drawn for a diagnosis without that formula."""
 
@@ -165,15 +145,26 @@ WITHOUT_MEAN: Final = ("random_walk", "flicker_noise", "noise_burst")
 """Effects that differ from run to run: their mean is zero, so that they do not predict held-out readings."""
 
 OUTSIDE: Final[dict[str, Draw]] = {
-    "bias_jump": _bias_jump, "random_walk": _random_walk, "cable_torque": _cable_torque,
-    "single_installation_pickup": _pickup, "sticking_angle": _sticking_angle,
-    "quadratic_drift": _quadratic_drift, "third_harmonic_wobble": _third_harmonic_wobble,
+    "bias_jump": _one_channel("bias_jump", _jump),
+    "random_walk": _one_channel("random_walk", lambda rng, run: np.cumsum(rng.normal(size=len(run.mount)))),
+    "cable_torque": _one_channel("cable_torque", lambda _, run: np.sin(run.head_angle / 2)),
+    "single_installation_pickup": _one_channel("single_installation_pickup", _pickup),
+    "sticking_angle": _one_channel("sticking_angle", _sticking_angle),
+    "quadratic_drift": _one_channel(
+        "quadratic_drift", lambda _, run: 4 * (run.time_s / run.time_s[run.fitted].max() - 0.5) ** 2
+    ),
+    "third_harmonic_wobble": _third_harmonic_wobble,
     "dead_band": _dead_band,
     # a head that turns slightly too far per degree, counted from the first point
     "gear_ratio_error": turned("gear_ratio_error", 10, "angle", lambda run: run.head_angle / (2 * np.pi)),
-    "flicker_noise": _flicker,
-    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()}, "fifth_power": _fifth_power,
-    "two_time_constants": _two_time_constants, "noise_burst": _noise_burst,
+    "flicker_noise": _one_channel("flicker_noise", _flicker),
+    **{f"{name} (unknown)": _unknown(draw) for name, draw in OWN.items()},
+    "fifth_power": _one_channel("fifth_power", lambda _, __: lambda force: force**5),
+    # two opposed thermal junctions in the leads of a channel, one fast and one slow
+    "two_time_constants": _one_channel("two_time_constants", lambda _, run: (
+        np.exp(-run.time_s / (90 * 60.0)) - 0.8 * np.exp(-run.time_s / (12 * 60.0))
+    ), "voltmeter"),
+    "noise_burst": _one_channel("noise_burst", _burst),
 }  # fmt: skip
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,61 +123,42 @@ class Design:
     input_checks: bool = False
 
 
-def _verification(number: int = 1) -> tuple[Sweep, ...]:
-    return (Sweep("V", number, (45, 135, 225, 315)),)
+def _passes(label: str, *passes: dict[str, Any]) -> tuple[Sweep, ...]:
+    """Return the sweeps of a mounting: whole turns with the head rising, but for what each pass states."""
+    return tuple(Sweep(label, number, **stated) for number, stated in enumerate(passes, start=1))
 
 
-def _rising(label: str, angles: tuple[int, ...] = EIGHTHS) -> tuple[Sweep, ...]:
-    return tuple(Sweep(label, number, angles) for number in (1, 2, 3))
+_VERIFICATION: Final = _passes("V", {"angles": (45, 135, 225, 315)})
+_RISING: Final[list[dict[str, Any]]] = [{}] * 3
+_BOTH_WAYS: Final[list[dict[str, Any]]] = [{}, {"direction": -1}, {}]
+_SCAN_REVERSED: Final[list[dict[str, Any]]] = [{}, {"direction": -1, "scan": "zyx"}]
+_BY_TWELFTHS: Final = [{"angles": TWELFTHS}] * 3
+_IN_OVEN: Final = [{"angles": TWELFTHS, "warmer_k": k} for k in (0.0, 20.0, -20.0)]
 
 
-def _both_ways(label: str) -> tuple[Sweep, ...]:
-    return tuple(Sweep(label, number, direction=d) for number, d in ((1, 1), (2, -1), (3, 1)))
-
-
-def _scan_reversed(label: str) -> tuple[Sweep, ...]:
-    return (Sweep(label, 1), Sweep(label, 2, direction=-1, scan="zyx"))
-
-
-def _in_oven(label: str) -> tuple[Sweep, ...]:
-    return tuple(
-        Sweep(label, number, TWELFTHS, warmer_k=k) for number, k in ((1, 0.0), (2, 20.0), (3, -20.0))
-    )
+def _design(
+    each: list[dict[str, Any]], *, turned: bool = False, verified: bool = True, **more: Any
+) -> Design:
+    """Return a design with installations 1 and 2; with `turned`, each is repeated after a turn by 180°."""
+    mountings = []
+    for label in "12":
+        mountings += [_passes(label, *each), *([_passes(f"{label}T180", {})] if turned else [])]
+    return Design((*mountings, *([_VERIFICATION] if verified else [])), **more)
 
 
 DESIGNS: Final[dict[str, Design]] = {
-    "paper": Design((_rising("1"), _rising("2"), _verification())),
-    "both": Design((_both_ways("1"), _both_ways("2"), _verification())),
-    "turn-12": Design((_rising("1", TWELFTHS), _rising("2", TWELFTHS), _verification())),
-    "return": Design((_rising("1"), _rising("2"), (Sweep("1", 1, series=2),), _verification())),
-    "remount-180": Design(
-        (
-            _rising("1")[:2],
-            (Sweep("1T180", 1),),
-            _rising("2")[:2],
-            (Sweep("2T180", 1),),
-            _verification(),
-        )
-    ),
-    "reordered": Design(
-        (
-            _scan_reversed("1"),
-            (Sweep("1T180", 1),),
-            _scan_reversed("2"),
-            (Sweep("2T180", 1),),
-            _verification(),
-        ),
-        input_checks=True,
-    ),
-    "six": Design(
-        (
-            tuple(Sweep("1", number, (0, 90, 180, 270)) for number in (1, 2, 3)),
-            tuple(Sweep("2", number, (0, 180)) for number in (1, 2, 3)),
-        )
-    ),
-    "unverified": Design((_rising("1"), _rising("2"))),
-    "oven": Design((_in_oven("1"), _in_oven("2"), _verification())),
-}
+    "paper": _design(_RISING),
+    "both": _design(_BOTH_WAYS),
+    "turn-12": _design(_BY_TWELFTHS),
+    "return": Design((_passes("1", *_RISING), _passes("2", *_RISING), _passes("1", {"series": 2}), _VERIFICATION)),
+    "remount-180": _design(_RISING[:2], turned=True),
+    "reordered": _design(_SCAN_REVERSED, turned=True, input_checks=True),
+    "six": Design((
+        _passes("1", *[{"angles": (0, 90, 180, 270)}] * 3), _passes("2", *[{"angles": (0, 180)}] * 3)
+    )),
+    "unverified": _design(_RISING, verified=False),
+    "oven": _design(_IN_OVEN),
+}  # fmt: skip
 """Designs by name.
 
 `reordered` has both directions, the scan order reversed once, rows S and R in each pass, and a third pass turned

@@ -44,9 +44,8 @@ def of_one_block(rng: np.random.Generator, runs: int) -> Runs:
     """Simulate runs that all have the same block."""
     made = simulate(rng, TRUTH, runs)
     for r in range(1, runs):
-        for signals in (made.signals,):
-            force = np.linalg.solve(made.truths[r, :9].reshape(3, 3), (signals[r] - made.truths[r, 9:]).T).T
-            signals[r] = force @ made.truths[0, :9].reshape(3, 3).T + made.truths[0, 9:]
+        force = np.linalg.solve(made.truths[r, :9].reshape(3, 3), (made.signals[r] - made.truths[r, 9:]).T).T
+        made.signals[r] = force @ made.truths[0, :9].reshape(3, 3).T + made.truths[0, 9:]
     made.truths[:] = made.truths[0]
     return made
 

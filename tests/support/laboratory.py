@@ -102,7 +102,7 @@ def write_events(folder: Path, events: list[dict[str, Any]]) -> str:
     lines = []
     for n, event in enumerate(events, start=1):
         first = {"n": n, "time": event["time"], "bench_s": float(n), "type": event["type"]}
-        line = json.dumps({**first, **event, "prev": head}).encode()
+        line = json.dumps({**first, **event, "prev": head}, ensure_ascii=False).encode()
         head = hashlib.sha256(line).hexdigest()
         lines.append(line + b"\n")
     (folder / "events.jsonl").write_bytes(b"".join(lines))
