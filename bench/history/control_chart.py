@@ -10,21 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc
 
-from bench.base.arrays import CHANNELS, Floats, Ints
+from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
-from bench.calibration.gls import noise_floor
-from bench.calibration.intrinsic import INTRINSIC, intrinsic
-from bench.calibration.noise import scatter_of_repeats
+from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError, through
 from bench.history.comparison import SECONDS_PER_YEAR
 from bench.history.measured import nine_of
-from bench.model.geometry import COEFFICIENTS, Block
+from bench.model.geometry import COEFFICIENTS
 from bench.stats.control_charts import (
     ALIKE_P,
     Centre,
@@ -41,7 +38,6 @@ from bench.stats.control_charts import (
     short_term,
     without_one,
 )
-from bench.stats.repeats_likelihood import sizes_of
 
 FEW_RUNS = 8
 """With fewer baseline runs, a note says that the limits are wide."""
@@ -53,14 +49,18 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
     shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
     if shewhart.t2[row] > chart.limit_t2:
         which = _which(chart, shewhart.z[row], chart.limit_single)
-        reasons.append(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})")
+        reasons.append(message(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})"))
     if ewma.t2[row] > chart.limit_ewma:
         which = _which(chart, ewma.z[row], chart.limit_single_ewma)
-        reasons.append(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+        reasons.append(
+            message(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+        )
     if short is not None and short.p[row] < chart.design.alpha:
         reasons.append(
-            f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
-            f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+            message(
+                f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
+                f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+            )
         )
     return tuple(reasons)
 
@@ -70,7 +70,9 @@ def _which(chart: ControlChart, z: Floats, limit: float) -> str:
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
-    return ", ".join(named[: len(beyond)]) if beyond else f"no number alone; the farthest is {named[0]}"
+    if not beyond:
+        return message(f"no number alone; the farthest is {named[0]}")
+    return ", ".join(named[: len(beyond)])
 
 
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
@@ -83,20 +85,26 @@ def _on_baseline(chart: ControlChart) -> list[str]:
     runs = len(chart.baseline)
     if chart.reference is not None:
         notes.append(
-            f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
-            "widen every limit; a baseline of the bench's own runs shows smaller changes"
+            message(
+                f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
+                "widen every limit; a baseline of the bench's own runs shows smaller changes"
+            )
         )
     elif runs < FEW_RUNS:
         notes.append(
-            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are wide for so few runs and "
-            "narrow with more"
+            message(
+                f"the baseline has {runs} run{'' if runs == 1 else 's'}: the limits are wide for so few runs and "
+                "narrow with more"
+            )
         )
     if chart.alone is not None:
         worst = int(np.argmin(chart.alone))
         if runs * chart.alone[worst] < ALIKE_P:
             notes.append(
-                f"{chart.baseline[worst].name} differs from the other runs of the baseline "
-                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
+                message(
+                    f"{chart.baseline[worst].name} differs from the other runs of the baseline "
+                    f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
+                )
             )
     return notes
 
@@ -109,20 +117,27 @@ def _on_components(chart: ControlChart) -> list[str]:
     more = [name for name, p in zip(chart.names, found.more_than_stated, strict=True) if p < ALIKE_P]
     if more:
         notes.append(
-            f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
-            "something differs from run to run by more than the bench file states"
+            message(
+                f"between the runs of the baseline {listed(more)} scatter{'s' if len(more) == 1 else ''} more than "
+                "stated u: something differs from run to run by more than the bench file states"
+            )
         )
     if found.birge_p < ALIKE_P:
-        taken = "still use stated u" if chart.design.basis == "stated" else "follow the scatter"
+        stated = chart.design.basis == "stated"
         notes.append(
-            f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
-            f"({probability(found.birge_p)}); the limits {taken}"
+            message(
+                f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
+                f"({probability(found.birge_p)}); the limits "
+                f"{'still use stated u' if stated else 'follow the scatter'}"
+            )
         )
     if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
         notes.append(
-            f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
-            "alarms are more frequent than stated; name under 'between_runs' what changes with each run, or take "
-            "limits from scatter (11 runs or more)"
+            message(
+                f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
+                "alarms are more frequent than stated; name under 'between_runs' what changes with each run, or "
+                "take limits from scatter (11 runs or more)"
+            )
         )
     return notes
 
@@ -133,8 +148,10 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"these runs may have other meters than the baseline: {listed(other)}; u includes the limits of "
-        "both; measure a new baseline with the new meters"
+        message(
+            f"these runs may have other meters than the baseline: {listed(other)}; u includes the limits of "
+            "both; measure a new baseline with the new meters"
+        )
     ]
 
 
@@ -145,8 +162,10 @@ def _on_drift(chart: ControlChart) -> list[str]:
     if not names:
         return []
     return [
-        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} more than stated; if the "
-        "block drifts, not the bench, add it under 'drift' with its u"
+        message(
+            f"{listed(names)} of the check block drift{'s' if len(names) == 1 else ''} more than stated; if the "
+            "block drifts, not the bench, add it under 'drift' with its u"
+        )
     ]
 
 
@@ -473,111 +492,3 @@ def _root(covariance: Floats) -> Floats:
     """Return a square root of a covariance, which may be singular."""
     sizes, axes = np.linalg.eigh(covariance)
     return np.asarray(axes * np.sqrt(np.maximum(sizes, 0.0)))
-
-
-# --- monitor runs: a few positions over days -------------------------------------------------------------
-
-
-LEAST_G: Final = 0.9
-"""Least specific force, g, upwards and downwards, at which an axis counts as turned."""
-BASELINE: Final = 5
-LEAST_BASELINE: Final = 3
-
-
-def monitor_run(name: str, when: datetime, signal: Floats, force: Floats) -> CheckRun:
-    """Return a check run with the bias (g) and the scale factor of each axis that was read up and down.
-
-    With two such axes, it also has the angle (deg) between them. `signal` (n, 3) was read at the nominal specific
-    force `force` (n, 3), g. The u follows from the scatter. Raises `CalibrationError` unless there are one or
-    two such axes, and enough readings for u.
-    """
-    up, down = force.max(axis=0, initial=0.0) > LEAST_G, force.min(axis=0, initial=0.0) < -LEAST_G
-    turned = np.flatnonzero(up & down)
-    columns = np.column_stack([np.ones(len(force)), force[:, turned]])
-    if not len(turned) or len(turned) > 2 or len(force) <= columns.shape[1]:
-        raise CalibrationError(
-            f"{name}: a monitor needs one or two axes up and down, twice, in one installation; run monitor-2 or "
-            "monitor-4"
-        )
-    own = signal[:, turned]
-    solver = np.linalg.pinv(columns)
-    found = solver @ signal
-    left = signal - columns @ found
-    dof = float(own.size - found[:, turned].size)
-    s = float(np.sqrt(np.sum(left[:, turned] ** 2) / dof))
-    between = s**2 * np.eye(own.size)
-    if len(turned) > 1:
-        between = _with_settings(between, signal, force, found, turned)
-    solvers = np.kron(np.eye(len(turned)), solver)
-    unseen = np.kron(np.eye(len(turned)), columns @ solver)
-    residual = between - unseen @ between - between @ unseen + unseen @ between @ unseen
-    if np.any(residual):
-        # errors of settings leave scatter in fewer readings than noise does (Satterthwaite)
-        dof = float(np.trace(residual) ** 2 / np.sum(residual**2))
-    # As in the calibration of a block; an axis that was not turned is a unit vector without uncertainty.
-    block, covariance = Block(np.eye(3), np.zeros(3)), np.zeros((len(COEFFICIENTS), len(COEFFICIENTS)))
-    for channel in turned:
-        block.U0[channel], block.K[channel, turned] = found[0, channel], found[1:, channel]
-    places = [place for channel in turned for place in (9 + channel, *(3 * channel + turned))]
-    covariance[np.ix_(places, places)] = solvers @ between @ solvers.T
-    nine, letters = intrinsic(block, covariance), [CHANNELS[k] for k in turned]
-    names = [name for letter in letters for name in (f"b{letter}", f"S{letter}")]
-    names += [f"theta_{''.join(letters)}"] * (len(letters) == 2)
-    kept = [nine.names.index(name) for name in names]
-    spread = nine.covariance[np.ix_(kept, kept)]
-    none = np.zeros_like(spread)
-    return CheckRun(
-        name, when, nine.values[kept], spread, np.sqrt(np.diag(spread)), s, dof, "monitor", (), none, none,
-        tuple(names),
-    )  # fmt: skip
-
-
-SETTINGS_P: Final = 0.05
-"""P-value below which the errors of the head's settings show in the repeats of a run, beside the noise."""
-
-
-def _with_settings(alike: Floats, signal: Floats, force: Floats, found: Floats, turned: Ints) -> Floats:
-    """Return the covariance (2 n, 2 n) of the signals of two turned axes, one axis after the other.
-
-    `found` (3, 3) has the bias and both slopes of each channel. Noise scatters all readings alike, an error of
-    the head's setting only those of a horizontal axis. If repeats do not show it, the covariance is `alike`.
-    """
-    shaft = np.ones(3)
-    shaft[turned] = 0.0
-    slope = np.cross(shaft, force)[:, turned] @ found[1:]
-    left = signal - found[0] - force[:, turned] @ found[1:]
-    _, repeats = np.unique(np.round(force, 3) + 0.0, axis=0, return_inverse=True)
-    scatter = scatter_of_repeats(left, slope, repeats.ravel())
-    if not scatter.settings:
-        return alike
-    along = scatter.slope / np.linalg.norm(scatter.slope, axis=1)[:, None]
-    moved = float(np.einsum("gi,gij,gj->", along, scatter.matrix, along))
-    still = float(np.einsum("gii->", scatter.matrix)) - moved
-    # the scatter of three signals has one component along the slope, two across it
-    if fdtrc(scatter.settings, 2 * scatter.settings, 2.0 * moved / max(still, 1e-300)) > SETTINGS_P:
-        return alike
-    by = np.zeros((4, 3))
-    by[turned, 0] = by[np.flatnonzero(shaft), 1] = by[3, 2] = 1.0
-    floor = noise_floor(signal, 0.0)
-    sizes = sizes_of(scatter.matrix[None], scatter.freedom, scatter.slope[None], floor, by)[0]
-    turns = np.hstack([np.diag(slope[:, channel]) for channel in turned])
-    return np.asarray(sizes[turned[0]] * np.eye(len(alike)) + sizes[3] * turns.T @ turns)
-
-
-def monitor_chart(runs: Sequence[CheckRun], baseline: int = BASELINE) -> ControlChart:
-    """Return the control chart of monitor runs; the first `baseline` of them, by date, set its limits.
-
-    Raises `CalibrationError` if the runs are too few or watch different axes.
-    """
-    ordered = sorted(runs, key=lambda run: run.when)
-    other = next((run for run in ordered if run.names != ordered[0].names), None)
-    if other is not None:
-        raise CalibrationError(
-            f"{ordered[0].name} and {other.name} turned different axes; chart runs of one monitor procedure"
-        )
-    if len(ordered[:baseline]) < LEAST_BASELINE:
-        raise CalibrationError(
-            f"{len(ordered[:baseline])} runs are too few to set the limits; name {LEAST_BASELINE} runs or more, "
-            "and a baseline of as many"
-        )
-    return control_chart(ordered[:baseline], ordered[baseline:], ChartDesign())

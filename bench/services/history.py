@@ -24,7 +24,7 @@ from bench.config.bench_file.sections import DAY_S
 from bench.config.model_file import load_model
 from bench.history.comparison import Comparison, Snapshot
 from bench.history.comparison import compare as compare_snapshots
-from bench.history.control_chart import CheckRun, ControlChart, monitor_chart, monitor_run
+from bench.history.control_chart import CheckRun, ControlChart
 from bench.history.learned import (
     FEW_DOF,
     WAVE_NAMES,
@@ -36,6 +36,7 @@ from bench.history.learned import (
     meter_differences,
 )
 from bench.history.learning import learn as learn_from
+from bench.history.monitor_chart import monitor_chart, monitor_run
 from bench.history.run_sums import run_fit
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
 from bench.model.effects import Subsystem

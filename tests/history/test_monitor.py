@@ -8,7 +8,7 @@ import pytest
 from rich.console import Console
 
 from bench.calibration.result import CalibrationError
-from bench.history.control_chart import monitor_chart, monitor_run
+from bench.history.monitor_chart import monitor_chart, monitor_run
 from bench.results.monitor import monitor_result, print_monitor
 from bench.services.history import check_run
 from bench.services.source import Request, load_sources
