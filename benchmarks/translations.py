@@ -51,7 +51,7 @@ FAULTS: Final = (
 MARKS: Final = {
     "message": slice(0, 1),
     **dict.fromkeys(REFUSALS.split(), slice(0, 1)),
-    "SpoiledFit": slice(0, 2),
+    **dict.fromkeys(("SpoiledFit", "DeviatingReadings"), slice(0, 2)),
     "ValueError": slice(0, 1),
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, u_of
+from bench.base.languages import message
 from bench.base.text import listed
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, Derived, through
@@ -31,7 +32,10 @@ HELD: Final = 0.1
 The change of K has the relative size 1.
 """
 JOINT_LEVEL: Final = 0.95
-JOINED: Final = {VERIFICATION: "the joined verification points", FREE: "the free positions"}
+JOINED: Final = {
+    VERIFICATION: message("the joined verification points"),
+    FREE: message("the free positions"),
+}
 """Readings that join a fit by their modulus, in words, by their installation."""
 
 
@@ -50,7 +54,7 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
     S = np.linalg.norm(block.K, axis=1)
     if not np.all(S > 0):
         without = CHANNELS[int(np.argmin(S > 0))]
-        raise np.linalg.LinAlgError(f"channel {without} has no sensitivity; check its readings")
+        raise np.linalg.LinAlgError(message(f"channel {without} has no sensitivity; check its readings"))
     axes, b = block.K / S[:, None], block.U0 / S
     values, rows = np.concatenate([S, np.zeros(3), b]), np.zeros((len(INTRINSIC), len(COEFFICIENTS)))
     for i in range(3):
@@ -61,8 +65,10 @@ def intrinsic(block: Block, covariance: Floats) -> Derived:
         cosine, sine = float(axes[i] @ axes[j]), float(np.linalg.norm(np.cross(axes[i], axes[j])))
         if sine == 0.0:
             raise np.linalg.LinAlgError(
-                f"the sensing axes of channels {CHANNELS[i]} and {CHANNELS[j]} are parallel; check that each "
-                "voltmeter has its own accelerometer"
+                message(
+                    f"the sensing axes of channels {CHANNELS[i]} and {CHANNELS[j]} are parallel; check that each "
+                    "voltmeter has its own accelerometer"
+                )
             )
         values[at] = np.degrees(np.arctan2(sine, cosine))
         for one, other in ((i, j), (j, i)):
@@ -129,26 +135,28 @@ def _held(own: Derived, unseen: Floats) -> tuple[str, ...]:
 
 
 def _mounting(found: Calibration, held: tuple[str, ...]) -> str:
-    turned = "a turn of the block common to all installations changes none of the nine"
+    turned = message("a turn of the block common to all installations changes none of the nine")
     if found.triangular is not None:
-        return f"{turned}; no stand enters free positions, which determine all nine and no more"
+        return message(f"{turned}; no stand enters free positions, which determine all nine and no more")
     if not held:
-        return f"{turned}, and {_determined_by(found)} determine all nine"
-    one = len(held) == 1
-    return (
+        return _determined_by(found, turned)
+    return message(
         f"{turned}; turns of the installations against each other change {listed(held)}, which "
-        f"{'stays' if one else 'stay'} as uncertain as the bench file's limits: joined verification points, free "
-        f"positions or a remount by 90° determine {'it' if one else 'them'}"
+        f"{'stays' if len(held) == 1 else 'stay'} as uncertain as the bench file's limits: joined verification "
+        f"points, free positions or a remount by 90° determine {'it' if len(held) == 1 else 'them'}"
     )
 
 
-def _determined_by(found: Calibration) -> str:
-    """Return in words which readings were used: the installations, and those that joined by their modulus."""
+def _determined_by(found: Calibration, turned: str) -> str:
+    """Return `turned`, and which readings were used: the installations, and those that joined by their modulus."""
     installations = list(dict.fromkeys(found.fitted.installation.tolist()))
-    used = [f"installation{'s' * (len(installations) > 1)} {listed(installations)}"]
+    names = listed(installations)
+    used = message(f"installation {names}") if len(installations) == 1 else message(f"installations {names}")
     joined = set() if found.free is None else set(found.free.installation.tolist())
-    used += [name for label, name in JOINED.items() if label in joined]
-    return " with ".join([used[0], *([listed(used[1:])] if used[1:] else [])])
+    others = listed([name for label, name in JOINED.items() if label in joined])
+    if others:
+        return message(f"{turned}, and {used} with {others} determine all nine")
+    return message(f"{turned}, and {used} determine all nine")
 
 
 # --- joint statements -------------------------------------------------------------------------------

@@ -29,7 +29,7 @@ POINTS: Final = 9
 """Number of test points in the paper."""
 NOMINAL_RAD: Final = np.radians(45.0) * np.arange(POINTS)
 
-OTHER_UNITS: Final = {"radians": 180.0 / np.pi, "gon": 0.9, "whole turns": 360.0}
+OTHER_UNITS: Final = {message("radians"): 180.0 / np.pi, "gon": 0.9, message("whole turns"): 360.0}
 BADLY: Final = 1e-3
 """Unexplained fraction of the signal variance: a wrong angle unit leaves more than this, the right unit less."""
 MUCH_BETTER_ANGLES: Final = 1e-2
@@ -79,7 +79,7 @@ def _place(rows: Readings, mask: Mask) -> str:
 
 
 def _row_of(rows: Readings, i: int) -> str:
-    return f"installation {rows.installation[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}"
+    return message(f"installation {rows.installation[i]}, pass {rows.pass_number[i]}, point {rows.point[i]}")
 
 
 def refuse_wrong_angle_unit(problem: Problem, signal: Floats, residuals: Floats) -> None:
@@ -241,9 +241,10 @@ def _named(rows: Readings, far: Floats) -> str:
     left = np.where(np.any([*wrong.values(), far < 0.0], axis=0), 0.0, far)
     count = int(np.count_nonzero(left > 1.0))
     worst = np.sort(np.argsort(-left, kind="stable")[: min(MOST_NAMED, count)])
-    named = [f"all of installation {label}, pass {number}" for label, number in wrong]
+    named = [message(f"all of installation {label}, pass {number}") for label, number in wrong]
     named += [_row_of(rows, int(i)) for i in worst]
-    return " and ".join(named) + (f" and {count - MOST_NAMED} more" if count > MOST_NAMED else "")
+    said = " and ".join(named)
+    return message(f"{said} and {count - MOST_NAMED} more") if count > MOST_NAMED else said
 
 
 def _deviation(problem: Problem, rows: Readings) -> Floats:
@@ -297,25 +298,27 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
     for i, (axis, announced) in enumerate(zip("xyz", nominal, strict=True)):
         found = float(result.block.K[i, i])
         most = "xyz"[int(np.argmax(np.abs(result.block.K[i])))]
-        sentence = message(
+        said = message(
             f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
         )
         prefix = round(math.log10(abs(found / announced)) / 3) if found else 0
         if prefix and abs(math.log10(abs(found / announced)) - 3 * prefix) < 0.3:
-            sentence += message(
-                f"; perhaps the signals are in {'mV' if prefix == 1 else 'another unit'}, not in V"
+            said = (
+                message(f"{said}; perhaps the signals are in mV, not in V")
+                if prefix == 1
+                else message(f"{said}; perhaps the signals are in another unit, not in V")
             )
         elif most != axis:
-            sentence += message(
-                f"; it responds most to {most}: perhaps two channels or installations are swapped"
+            said = message(
+                f"{said}; it responds most to {most}: perhaps two channels or installations are swapped"
             )
         elif found * announced < 0 and result.triangular is None:
-            sentence += message("; perhaps the pair of wires is reversed")
+            said = message(f"{said}; perhaps the pair of wires is reversed")
         elif abs(abs(found / announced) - 1) <= FARTHEST:
             continue
         else:
-            sentence += message("; check that it is the block of the bench file")
-        sentences.append(sentence)
+            said = message(f"{said}; check that it is the block of the bench file")
+        sentences.append(said)
     return tuple(sentences)
 
 
@@ -346,19 +349,27 @@ _NAMES: Final = {
 def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) -> str:
     """Return in words that signals are 10 to the power of `tens` times too large.
 
-    `part` names the affected part of the table (" of pass 2"), empty for all of it; `unit` is the unit in the
-    file.
+    `part` names the affected part of the table ("pass 2"), empty for all of it; `unit` is the unit in the file.
     """
     everything = len(channels) == len(CHANNELS)
-    what = "all signals" if everything else f"the signals of channel {', '.join(channels)}"
-    than = "the data sheet, if that is of this block" if everything and not part else "the others"
+    what = message("all signals") if everything else message(f"the signals of channel {', '.join(channels)}")
+    kind, _, labels = part.partition(" ")
+    if part:
+        what = (
+            message(f"{what} of pass {labels}")
+            if kind == "pass"
+            else message(f"{what} of installation {labels}")
+        )
+    than = message("the others")
+    if everything and not part:
+        than = message("the data sheet, if that is of this block")
     prefix, left = divmod(tens, round(PREFIX))
     name = _NAMES.get(unit, {}).get(prefix)
-    said = f"in {name}, instead of {unit}" if name else "in another unit than stated"
+    said = message(f"in {name}, instead of {unit}") if name else message("in another unit than stated")
     if left:
-        said = "read with another range or decimal point than stated"
-    return (
-        f"{what}{part} seem to be {said}: they are {10 ** abs(tens)} times too "
+        said = message("read with another range or decimal point than stated")
+    return message(
+        f"{what} seem to be {said}: they are {10 ** abs(tens)} times too "
         f"{'large' if tens > 0 else 'small'} beside {than}"
     )
 
@@ -518,7 +529,7 @@ def _described(
         whole[row] = _of_other(readings, int(row), power, scaled, everywhere=not name)
     return WrongUnit(
         whole,
-        f" of {name} {', '.join(wrong)}" if name else "",
+        f"{name} {', '.join(wrong)}" if name else "",
         channels,
         readings.unit,
         int(power.flat[np.flatnonzero(power)[0]]),

@@ -238,7 +238,8 @@ def axis_in_words(axis: tuple[float, float, float] | None) -> str:
     if len(parts) == 1:
         return parts[0][1]
     first = parts[0][0]
-    return "the axis " + " ".join(f"{np.sign(first) * a:+.2f} {name}" for a, name in parts).removeprefix("+")
+    sum_of_axes = " ".join(f"{np.sign(first) * a:+.2f} {name}" for a, name in parts).removeprefix("+")
+    return message(f"the axis {sum_of_axes}")
 
 
 TRACELESS: Final = 1e-4

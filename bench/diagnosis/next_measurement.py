@@ -419,10 +419,7 @@ def _settled(separations: Sequence[Separation]) -> int:
 
 def _why_settles(separations: Sequence[Separation], name: str, minutes: float) -> str:
     ties = "; ".join(
-        f"{effect} from "
-        + ", ".join(
-            f"{s.other} (D {s.before:.1f} → {s.after:.1f})" for s in separations if s.effect == effect
-        )
+        _from_others(effect, [s for s in separations if s.effect == effect])
         for effect in dict.fromkeys(s.effect for s in separations)
     )
     settled = _settled(separations)
@@ -435,3 +432,10 @@ def _why_settles(separations: Sequence[Separation], name: str, minutes: float) -
         f"the procedure '{name}' (about {minutes:.0f} min), together with these readings, {verb}: {ties}; "
         f"D is the divergence of two names, and {SEPARATED:g} means four standard deviations"
     )
+
+
+def _from_others(effect: str, separations: Sequence[Separation]) -> str:
+    """Return in words from which other names a procedure separates an effect."""
+    first, *rest = separations
+    more = "".join(f", {s.other} (D {s.before:.1f} → {s.after:.1f})" for s in rest)
+    return message(f"{effect} from {first.other} (D {first.before:.1f} → {first.after:.1f}){more}")

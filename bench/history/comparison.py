@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
+from bench.base.languages import message
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.noise import METERS_DRIFT, ONE_TEMPERATURE_K, drifted
@@ -272,7 +273,8 @@ def compare(snapshots: Sequence[Snapshot]) -> Comparison:
         ordered = [snapshots[k] for k in np.argsort([d.timestamp() for d in dates], kind="stable")]
     notes = _notes(ordered, dated=dated)
     if free:
-        notes = (f"{', '.join(free)}: from free positions alone, so that only the nine are compared", *notes)
+        alone = message(f"{', '.join(free)}: from free positions alone, so that only the nine are compared")
+        notes = (alone, *notes)
     there = [snapshot.per(ordered[0].g_m_s2, ordered[0].gravity_u) for snapshot in ordered]
     drifts = dated and len(dates) >= LEAST_FOR_DRIFT and max(dates) - min(dates) >= LEAST_SPAN
     when = dates if drifts else []
@@ -377,32 +379,40 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
     notes = []
     blocks = sorted({snapshot.block for snapshot in snapshots if snapshot.block})
     if len(blocks) > 1:
-        notes.append(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}")
+        notes.append(message(f"THESE ARE DIFFERENT BLOCKS, as recorded: {', '.join(blocks)}"))
     elif any(not snapshot.block for snapshot in snapshots):
-        notes.append("not every result names its block; they are assumed to be of one block")
+        notes.append(message("not every result names its block; they are assumed to be of one block"))
     if not dated:
         notes.append(
-            "not every calibration has a date: the first one is the reference, and no drift is computed"
+            message(
+                "not every calibration has a date: the first one is the reference, and no drift is computed"
+            )
         )
     if any(_one_and_the_same(a, b) for a, b in combinations(snapshots, 2)):
         notes.append(
-            "two of these calibrations agree within a hundredth of their uncertainty; check whether both "
-            "come from the same readings"
+            message(
+                "two of these calibrations agree within a hundredth of their uncertainty; check whether both "
+                "come from the same readings"
+            )
         )
     if len({snapshot.simulated for snapshot in snapshots}) > 1:
-        notes.append("some of these calibrations are of simulated instruments, some of real ones")
+        notes.append(message("some of these calibrations are of simulated instruments, some of real ones"))
     known = sorted({round(s.temperature_c, 1) for s in snapshots if np.isfinite(s.temperature_c)})
     if known and known[-1] - known[0] > ONE_TEMPERATURE_K:
         notes.append(
-            f"the block was at {', '.join(f'{at:g}' for at in known)} °C: u leaves its temperature coefficients "
-            "out, so a change may be due to the temperature"
+            message(
+                f"the block was at {', '.join(f'{at:g}' for at in known)} °C: u leaves its temperature "
+                "coefficients out, so a change may be due to the temperature"
+            )
         )
     others = sorted({s.g_m_s2 for s in snapshots if s.g_m_s2 != snapshots[0].g_m_s2})
     if others:
         listed = ", ".join(f"{g:.6g}" for g in others)
         notes.append(
-            f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale "
-            "factors are converted to the first one's gravity, and u includes the stated u of both"
+            message(
+                f"local gravity differs ({snapshots[0].g_m_s2:.6g} m/s² here, {listed} elsewhere): scale "
+                "factors are converted to the first one's gravity, and u includes the stated u of both"
+            )
         )
     notes.append(_on_meters(snapshots))
     return tuple(notes)
@@ -411,22 +421,22 @@ def _notes(snapshots: Sequence[Snapshot], *, dated: bool) -> tuple[str, ...]:
 def _on_meters(snapshots: Sequence[Snapshot]) -> str:
     bare = [snapshot.name for snapshot in snapshots if snapshot.same_meters is None]
     if bare:
-        return (
+        return message(
             f"{', '.join(bare)}: its uncertainty excludes errors of the meters; if the meters differ, their "
             "errors appear as a change"
         )
     parts = [_drifted(snapshots[0], later) for later in snapshots[1:]]
     if max(parts) == 0.0:
-        return (
+        return message(
             "the same meters measured on the same day (by identity and address): their gain and offset "
             "cancel, and the uncertainty excludes them"
         )
     if all(snapshot.meters == snapshots[0].meters != () for snapshot in snapshots):
-        return (
+        return message(
             "the same meters measured (by identity and address): the uncertainty includes the drift of "
             f"their gain and offset, all of it after {METERS_DRIFT.days} days"
         )
-    return "the meters may differ: every uncertainty includes their gain and offset"
+    return message("the meters may differ: every uncertainty includes their gain and offset")
 
 
 def _drifted(first: Snapshot, later: Snapshot) -> float:

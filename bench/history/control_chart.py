@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from bench.base.arrays import Floats, Mask
+from bench.base.languages import message
 from bench.base.numbers import MINUS, probability
 from bench.base.text import listed
 from bench.calibration.intrinsic import INTRINSIC
@@ -50,14 +51,18 @@ def reasons_of(chart: ControlChart, row: int) -> tuple[str, ...]:
     shewhart, ewma, short = chart.shewhart, chart.ewma, chart.short
     if shewhart.t2[row] > chart.limit_t2:
         which = _which(chart, shewhart.z[row], chart.limit_single)
-        reasons.append(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})")
+        reasons.append(message(f"T² = {shewhart.t2[row]:.1f} is beyond {chart.limit_t2:.1f} ({which})"))
     if ewma.t2[row] > chart.limit_ewma:
         which = _which(chart, ewma.z[row], chart.limit_single_ewma)
-        reasons.append(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+        reasons.append(
+            message(f"T² of the EWMA = {ewma.t2[row]:.1f} is beyond {chart.limit_ewma:.1f} ({which})")
+        )
     if short is not None and short.p[row] < chart.design.alpha:
         reasons.append(
-            f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
-            f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+            message(
+                f"its short-term standard deviation is {np.sqrt(short.f[row]):.2f} times that of the baseline "
+                f"(F = {short.f[row]:.2f} for {short.dof[row]:.0f} and {short.pooled_dof:.0f})"
+            )
         )
     return tuple(reasons)
 
@@ -67,7 +72,9 @@ def _which(chart: ControlChart, z: Floats, limit: float) -> str:
     order = np.argsort(-np.abs(z))
     beyond = [k for k in order if abs(z[k]) > limit]
     named = [f"{chart.names[k]} {z[k]:+.1f} u".replace("-", MINUS) for k in order]
-    return ", ".join(named[: len(beyond)]) if beyond else f"no number alone; the farthest is {named[0]}"
+    if not beyond:
+        return message(f"no number alone; the farthest is {named[0]}")
+    return ", ".join(named[: len(beyond)])
 
 
 def notes_of(chart: ControlChart) -> tuple[str, ...]:
@@ -80,20 +87,26 @@ def _on_baseline(chart: ControlChart) -> list[str]:
     runs = len(chart.baseline)
     if chart.reference is not None:
         notes.append(
-            f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
-            "widen every limit; a baseline of the bench's own runs shows smaller changes"
+            message(
+                f"judged by the reference {chart.reference.name}: constant parts of u (meters, temperature) "
+                "widen every limit; a baseline of the bench's own runs shows smaller changes"
+            )
         )
     elif runs < FEW_RUNS:
         notes.append(
-            f"the baseline has {runs} run{'s' * (runs > 1)}: the limits are wide for so few runs and "
-            "narrow with more"
+            message(
+                f"the baseline has {runs} run{'' if runs == 1 else 's'}: the limits are wide for so few runs and "
+                "narrow with more"
+            )
         )
     if chart.alone is not None:
         worst = int(np.argmin(chart.alone))
         if runs * chart.alone[worst] < ALIKE_P:
             notes.append(
-                f"{chart.baseline[worst].name} differs from the other runs of the baseline "
-                f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
+                message(
+                    f"{chart.baseline[worst].name} differs from the other runs of the baseline "
+                    f"({probability(min(1.0, runs * float(chart.alone[worst])))}): find the cause, or leave it out"
+                )
             )
     return notes
 
@@ -106,20 +119,27 @@ def _on_components(chart: ControlChart) -> list[str]:
     more = [name for name, p in zip(chart.names, found.more_than_stated, strict=True) if p < ALIKE_P]
     if more:
         notes.append(
-            f"between the runs of the baseline {listed(more)} scatter{'s' * (len(more) == 1)} more than stated u: "
-            "something differs from run to run by more than the bench file states"
+            message(
+                f"between the runs of the baseline {listed(more)} scatter{'s' if len(more) == 1 else ''} more than "
+                "stated u: something differs from run to run by more than the bench file states"
+            )
         )
     if found.birge_p < ALIKE_P:
-        taken = "still use stated u" if chart.design.basis == "stated" else "follow the scatter"
+        stated = chart.design.basis == "stated"
         notes.append(
-            f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
-            f"({probability(found.birge_p)}); the limits {taken}"
+            message(
+                f"the baseline scatters {np.sqrt(found.birge2):.2f} times as much as stated u "
+                f"({probability(found.birge_p)}); the limits "
+                f"{'still use stated u' if stated else 'follow the scatter'}"
+            )
         )
     if chart.design.basis != "scatter" and found.alike_p < ALIKE_P:
         notes.append(
-            f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
-            "alarms are more frequent than stated; name under 'between_runs' what changes with each run, or take "
-            "limits from scatter (11 runs or more)"
+            message(
+                f"stated u does not fit every coefficient equally ({probability(found.alike_p)}): false "
+                "alarms are more frequent than stated; name under 'between_runs' what changes with each run, or "
+                "take limits from scatter (11 runs or more)"
+            )
         )
     return notes
 
@@ -130,8 +150,10 @@ def _on_meters(chart: ControlChart) -> list[str]:
     if not other:
         return []
     return [
-        f"these runs may have other meters than the baseline: {listed(other)}; u includes the limits of "
-        "both; measure a new baseline with the new meters"
+        message(
+            f"these runs may have other meters than the baseline: {listed(other)}; u includes the limits of "
+            "both; measure a new baseline with the new meters"
+        )
     ]
 
 
@@ -142,8 +164,10 @@ def _on_drift(chart: ControlChart) -> list[str]:
     if not names:
         return []
     return [
-        f"{listed(names)} of the check block drift{'s' * (len(names) == 1)} more than stated; if the "
-        "block drifts, not the bench, add it under 'drift' with its u"
+        message(
+            f"{listed(names)} of the check block drift{'s' if len(names) == 1 else ''} more than stated; if the "
+            "block drifts, not the bench, add it under 'drift' with its u"
+        )
     ]
 
 

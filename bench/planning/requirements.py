@@ -11,6 +11,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.calibration.budget.assessment import delta_g_variances, directions, measured
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
 from bench.calibration.budget.error_source import ErrorSource
@@ -233,26 +234,27 @@ def _menu(settings: Sequence[Setting], model: ForwardModel, cost: Cost) -> list[
     menu = []
     there = verifying(settings)
     if there:
-        menu.append(_Candidate("let the verification points join the fit by |a| = 1 g", modulus=tuple(there)))
+        text = message("let the verification points join the fit by |a| = 1 g")
+        menu.append(_Candidate(text, modulus=tuple(there)))
     elif VERIFICATION in model.installations:
         points = _one_pass(Mounting(1, VERIFICATION), _VERIFICATION_RAD)
-        text = "four verification points (installation V) that join the fit by |a| = 1 g"
+        text = message("four verification points (installation V) that join the fit by |a| = 1 g")
         menu.append(_Candidate(text, modulus=points, cost_s=cost.total_s(len(points), 1)))
     visited = {s.mount.installation for s in settings}
     labels = [label for label in model.installations if label not in {VERIFICATION, *visited}]
     for label in dict.fromkeys([*labels, THIRD.label]):
         if label in visited:
             continue
-        text = f"one pass in installation {label}"
+        text = message(f"one pass in installation {label}")
         if label in _SHIPPED:
-            text += f", as in the procedure '{_SHIPPED[label]}'"
+            text = message(f"{text}, as in the procedure '{_SHIPPED[label]}'")
         elif label not in model.installations:
-            text += " (axes [y, z, x]: x along the shaft), to be defined in the bench file"
+            text = message(f"{text} (axes [y, z, x]: x along the shaft), to be defined in the bench file")
         menu.append(_with_pass(text, Mounting(1, label), cost))
     if visited - {VERIFICATION}:
         first = next(s.mount.installation for s in settings if s.mount.installation != VERIFICATION)
         series = 1 + max(s.mount.series for s in settings if s.mount.installation == first)
-        text = f"a return to installation {first}, as in the procedure 'return'"
+        text = message(f"a return to installation {first}, as in the procedure 'return'")
         menu.append(_with_pass(text, Mounting(series, first), cost))
     return menu
 
@@ -282,7 +284,7 @@ _DECADES: Final = 5
 _ROUNDING: Final = 1e-6
 _SETTLED: Final = 1e-4
 _LEAST_PART: Final = 1e-9
-_NO_BALANCE: Final = "no balanced set of sizes was found; use the limits of each error alone"
+_NO_BALANCE: Final = message("no balanced set of sizes was found; use the limits of each error alone")
 
 
 def of_delta_g(*, reading: bool) -> Target:
@@ -371,7 +373,7 @@ class Requirement:
     k: float
 
     def __post_init__(self) -> None:
-        for name, value in (("the accuracy", self.accuracy), ("k", self.k)):
+        for name, value in ((message("the accuracy"), self.accuracy), ("k", self.k)):
             if not (math.isfinite(value) and value > 0):
                 raise CalibrationError(f"{name} must be a positive number, not {value:g}")
 
@@ -485,7 +487,7 @@ class Requirement:
         return self._settled(own, sizes, free)
 
     def _exceeded(self, names: Sequence[str]) -> str:
-        return (
+        return message(
             f"{self.accuracy:.3g} cannot be reached for any size of {', '.join(names)}: the other errors alone "
             "exceed it; 'bench budget' shows them"
         )

@@ -213,6 +213,7 @@ def _as_text(value: object) -> str:
 
 
 DEFAULT_BENCH: Final = "paper-stand"
+_ASKED_FOR: Final = message("as asked for")
 _NONE_NAMED: Final = message("the shipped one, because no file was named")
 
 
@@ -258,6 +259,8 @@ class BenchTaken:
         """The reason for this bench file, and the reason why the run was begun with this file."""
         if not self.chosen:
             return self.why
+        if self.chosen == _ASKED_FOR:
+            return message(f"{self.why}; chosen at the start as asked for")
         return message(f"{self.why}; chosen at the start as {self.chosen.removeprefix('as ')}")
 
     def part(self) -> BenchPart:
@@ -273,7 +276,7 @@ def bench_path(given: str | Path | BenchFile | None) -> Path:
 def why_taken(given: str | Path | BenchFile | None) -> str:
     """Return why `bench_path(given)` chooses its file."""
     if given:
-        return message("as asked for")
+        return _ASKED_FOR
     return message("named by BENCH_FILE") if os.environ.get("BENCH_FILE") else _NONE_NAMED
 
 
@@ -282,7 +285,7 @@ def find_bench_file(given: str | Path | BenchFile | BenchTaken | None) -> BenchT
     if isinstance(given, BenchTaken):
         return given
     if isinstance(given, BenchFile):
-        return BenchTaken(given, given.name, sha256(given.model_dump_json().encode()), "as given")
+        return BenchTaken(given, given.name, sha256(given.model_dump_json().encode()), message("as given"))
     path = bench_path(given)
     return BenchTaken(load_bench(path), str(path), sha256(read_regular(path)), why_taken(given))
 

@@ -14,9 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from bench.base.arrays import HOUR, Floats, u_of
+from bench.base.arrays import Floats, u_of
 from bench.base.files import cache_folder, from_text, read_regular, write_whole
-from bench.base.text import as_typed, cause_of, duration, listed
+from bench.base.languages import message
+from bench.base.text import as_typed, cause_of, listed
 from bench.base.yaml_files import load_document, part
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -26,7 +27,7 @@ from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Refe
 from bench.history.measured import of_gravity, to_gravity
 from bench.model.geometry import COEFFICIENTS
 from bench.results.control_chart import CheckBlockChart
-from bench.run.events import MANIFEST, CheckedBefore, Manifest, RecordError, RunState, UnitUnderTest, sha256
+from bench.run.events import MANIFEST, RecordError, RunState, UnitUnderTest, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
 from bench.services.arguments import python_call
 from bench.services.bench_selection import find_bench_file, own_bench
@@ -37,7 +38,6 @@ from bench.services.requests.evaluation import Chart
 from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
-from drivers.clock import utc_now
 
 FORMAT: Final = 2
 """Version of the cached values. Increment it when their form or the calibration behind them changes."""
@@ -210,8 +210,10 @@ def chart_of(
     if away := [one.name for one in values if one.g_m_s2 != g]:
         notes = (
             *notes,
-            f"local gravity differs from that of {values[0].name}: {listed(away)}; between places, the limits "
-            "include the u of both values of g; runs of one place show smaller changes",
+            message(
+                f"local gravity differs from that of {values[0].name}: {listed(away)}; between places, the limits "
+                "include the u of both values of g; runs of one place show smaller changes"
+            ),
         )
     taken = {one.name: one.check_run(section.between_runs, g) for one in values}
     baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
@@ -259,22 +261,30 @@ def _values(runs: Iterable[Run]) -> tuple[list[CheckValues], tuple[str, ...]]:
         try:
             values.append(check_values(run))
         except CalibrationError as reason:
-            notes.append(f"{run.name} is left out, because it gives no calibration: {reason}")
+            notes.append(message(f"{run.name} is left out, because it gives no calibration: {reason}"))
     return sorted(values, key=lambda one: one.when), tuple(notes)
 
 
 def _refuse_mixed(values: Sequence[CheckValues]) -> None:
-    for what, one_of, own in (
-        ("runs of different blocks", "block", [f"of {one.block}" for one in values]),
-        ("runs in different units", "unit", [f"in {one.unit}" for one in values]),
-        ("real and simulated runs", "kind", ["simulated" if one.simulated else "real" for one in values]),
-    ):
-        other = next((k for k, text in enumerate(own) if text != own[0]), 0)
-        if other:
-            raise Refused(
-                f"{what} cannot share a chart ({values[0].name} is {own[0]}, {values[other].name} {own[other]}); "
-                f"name only runs of one {one_of}"
-            )
+    first = values[0]
+    if other := next((one for one in values if one.block != first.block), None):
+        raise Refused(
+            f"runs of different blocks cannot share a chart ({first.name} is of {first.block}, {other.name} of "
+            f"{other.block}); name only runs of one block"
+        )
+    if other := next((one for one in values if one.unit != first.unit), None):
+        raise Refused(
+            f"runs in different units cannot share a chart ({first.name} is in {first.unit}, {other.name} in "
+            f"{other.unit}); name only runs of one unit"
+        )
+    if other := next((one for one in values if one.simulated != first.simulated), None):
+        raise Refused(
+            f"real and simulated runs cannot share a chart ({first.name} is simulated, {other.name} real); "
+            "name only runs of one kind"
+            if first.simulated
+            else f"real and simulated runs cannot share a chart ({first.name} is real, {other.name} simulated); "
+            "name only runs of one kind"
+        )
 
 
 def _arl(section: CheckBlockSection) -> float:
@@ -297,7 +307,9 @@ def _basis(
         return basis, ()
     need = least_runs(wanted, count)
     return basis, (
-        f"give limits from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}",
+        message(
+            f"give limits from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}"
+        ),
     )
 
 
@@ -470,127 +482,4 @@ def _of_folder(folder: Path, bench: Bench, kinds: Sequence[bool]) -> tuple[Bench
     raise NoCheckBlock(
         f"{folder}: no run of a check block there; name the block in `check_block` of a bench file, then "
         "measure it: bench run PROCEDURE --bench FILE --unit SERIAL"
-    )
-
-
-# --- whether the check block lets a run begin ----------------------------------------------------------
-
-IN_CONTROL: Final = "in control"
-
-
-@dataclass(frozen=True)
-class CheckBefore:
-    """The last check of a bench: `state` is "in control", "out of control", "too old" or "missing".
-
-    `sentence` states the reason. `run` is the name of the charted run that was judged, "" for "missing", and
-    `age_s` is its age in s.
-    """
-
-    state: str
-    sentence: str
-    run: str = ""
-    age_s: float = 0.0
-
-    @property
-    def fine(self) -> bool:
-        """Whether the last check found the bench in control, and is not too old."""
-        return self.state == IN_CONTROL
-
-    def recorded(self, rule: str, reason: str | None) -> CheckedBefore:
-        """Return the check for a manifest, with the bench file's `rule` and the `reason` to begin despite it."""
-        told: CheckedBefore = {"rule": rule, "state": self.state, "said": self.sentence}
-        if self.run:
-            told["run"] = self.run
-            told["age_h"] = round(self.age_s / HOUR, 3)
-        if reason is not None and not self.fine:
-            told["despite"] = reason
-        return told
-
-
-def check_before(bench: BenchFile, path: Path, runs: Path, now: datetime, *, simulated: bool) -> CheckBefore:
-    """Judge a bench by the last run of its check block, as of `now`.
-
-    Raises `Refused` for a bench file without section check_block, and the errors of `chart_of`.
-    """
-    section = bench.check_block
-    if section is None:
-        raise Refused(f"{path}: the bench file has no section check_block; add it, or leave out the check")
-    found = check_block_runs(bench, runs, simulated=simulated)
-    kind = " simulated" if simulated else ""
-    if not found:
-        return CheckBefore(
-            "missing", f"no{kind} run of the check block {section.serial} of {bench.name} is in {runs}"
-        )
-    chart = chart_of(found, section, of_bench=path, folder=runs)
-    return _judged(chart, section, found, now)
-
-
-def _judged(
-    chart: CheckBlockChart, section: CheckBlockSection, found: list[Run], now: datetime
-) -> CheckBefore:
-    verdicts = chart.chart.verdicts
-    if not verdicts:
-        (run, *_) = chart.chart.baseline
-        return CheckBefore(
-            "missing",
-            f"{run.name} is the first run of the check block {section.serial}: there is nothing to "
-            "compare with; measure it again",
-        )
-    last = verdicts[-1]
-    age_s = max(0.0, (now - last.when).total_seconds())
-    if not last.accepted:
-        said = f"the last run of the check block, {last.run}, is OUT OF CONTROL: {'; '.join(last.reasons)}"
-        return CheckBefore("out of control", said, last.run, age_s)
-    newest = found[-1].name
-    if newest != last.run and newest not in {run.name for run in chart.chart.baseline}:
-        return CheckBefore(
-            "missing",
-            f"the last run of the check block, {newest}, gives no calibration: {'; '.join(chart.notes)}",
-        )
-    hours = f"{age_s / HOUR:.1f} h"
-    if age_s > section.max_age:
-        counts = duration(section.max_age)
-        said = f"the last run of the check block, {last.run}, is {hours} old; it is valid for {counts}"
-        return CheckBefore("too old", said, last.run, age_s)
-    return CheckBefore(IN_CONTROL, f"{last.run}, {hours} ago, was in control", last.run, age_s)
-
-
-def checked_before(
-    manifest: Manifest, bench: BenchFile, path: Path, runs: Path, despite: str | None
-) -> tuple[str, ...]:
-    """Check the bench before a run begins; note the result in the run's manifest, and return it in sentences.
-
-    `despite` is the operator's reason to begin whatever the check says. Before a run of the check block itself,
-    nothing is checked. Raises `Refused` if the rule of the bench file forbids the run, and the errors of
-    `check_before`.
-    """
-    if bench.check_block is None:
-        raise Refused(
-            f"{path}: the bench file has no section check_block, which --check-block and "
-            "--despite-check need; add the section, or leave out these options"
-        )
-    if despite is not None and (not despite.strip() or not despite.isprintable()):
-        raise Refused("--despite-check: give the reason in words, for the record")
-    if is_check_block(bench, manifest["unit_under_test"]):
-        return ("this is a run of the check block; remove --check-block and --despite-check",)
-    rule = bench.check_block.rule
-    found = check_before(bench, path, runs, utc_now(), simulated=bool(manifest["dry_run"]))
-    told = refuse_or_tell(found, rule, despite)
-    manifest["check_block"] = found.recorded(rule, despite)
-    return told
-
-
-def refuse_or_tell(found: CheckBefore, rule: str, reason: str | None) -> tuple[str, ...]:
-    """Return a check in sentences. A failed one raises `Refused`, unless `rule` is "warn" or a reason is given."""
-    if found.fine:
-        return (f"check block: {found.sentence}",)
-    if reason is not None:
-        return (
-            f"check block: {found.sentence}; the run continues, and the record keeps your reason {reason!r}",
-        )
-    if rule == "warn":
-        return (f"CHECK BLOCK: {found.sentence}; the bench file's rule is to warn, so the run continues",)
-    raise Refused(
-        f"check block: {found.sentence}. By the bench file, no run may start: measure the check block, or "
-        "give --despite-check 'REASON' for the record"
     )

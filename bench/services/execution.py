@@ -143,7 +143,7 @@ def new_run(request: RunRequest) -> NewRun:
         notes += noted_goals(manifest, plan, file, request.until)
     despite = request.despite_check
     if request.check_block or despite is not None or (file.check_block is not None and not dry_run):
-        from bench.services.check_block import checked_before  # takes long to import
+        from bench.services.check_before import checked_before  # takes long to import
 
         notes += checked_before(manifest, file, bench_file_path, runs, despite)
     return NewRun(runs / name, manifest, inputs, notes)

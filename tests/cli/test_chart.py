@@ -13,7 +13,8 @@ import bench as program
 from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
 from bench.services import check_block
-from bench.services.check_block import chart_of, check_before, check_block_runs
+from bench.services.check_before import check_before
+from bench.services.check_block import chart_of, check_block_runs
 from bench.services.conclusion import charted
 from bench.services.errors import Refused
 from bench.services.execution import new_run
@@ -104,7 +105,7 @@ def test_a_run_that_was_out_of_control_is_no_part_of_the_baseline(there):
 def test_what_the_check_says_of_a_run(there, monkeypatch):
     def said(count: int, hours: float):
         runs = check_block_runs(there, Path("runs"), simulated=True)[:count]
-        monkeypatch.setattr(check_block, "check_block_runs", lambda *_, **__: runs)
+        monkeypatch.setattr("bench.services.check_before.check_block_runs", lambda *_, **__: runs)
         when = datetime.fromisoformat(runs[-1].created) if runs else datetime.now(UTC)
         return check_before(
             there, Path("my.yaml"), Path("runs"), when + timedelta(hours=hours), simulated=True

@@ -13,6 +13,7 @@ from scipy import special
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.base.result_model import Real, ResultModel
 from bench.calibration.budget.coefficients import (
     Budget,
@@ -484,14 +485,14 @@ class Assessment:
         sources = [c.source for c in self.budget.contributions]
         priors = [s.name for s in sources if s.prior and s.u > 0.0 and s.origin != ROLL_ORIGIN]
         if priors:
-            yield (
+            yield message(
                 f"{', '.join(priors)}: assumed from plausible sizes or makers' limits; state known values "
                 "in the section 'uncertainty' of the bench file"
             )
         setup = self.budget.setup
         temperatures = np.unique(setup.conditions.temperature_c[setup.fitted])
         if np.sum(np.isfinite(temperatures)) > 1:
-            yield (
+            yield message(
                 f"the procedure has {len(temperatures)} temperatures, and the coefficients are assumed "
                 "equal at all of them; for one temperature, give a procedure with that one alone"
             )
@@ -501,18 +502,18 @@ class Assessment:
             share = found[0].share
             names = sorted((n for n in of_block if share[n] > NAMED), key=lambda n: "K3" in n)
             part = 100.0 * sum(share[name] for name in of_block)
-            yield (
-                f"from {found[0].magnitude_g:g} g on {' and '.join(names)} dominate{'s' * (len(names) == 1)} "
-                f"({part:.0f} % of the variance of |a|): their sizes are priors, which a calibration at 1 "
-                "g hardly shows; a centrifuge measures them"
+            yield message(
+                f"from {found[0].magnitude_g:g} g on {' and '.join(names)} "
+                f"dominate{'s' if len(names) == 1 else ''} ({part:.0f} % of the variance of |a|): their sizes are "
+                "priors, which a calibration at 1 g hardly shows; a centrifuge measures them"
             )
         if any(s.origin == ROLL_ORIGIN for s in sources):
-            yield (
+            yield message(
                 "mounting_roll: not stated in the bench file, assumed as large as mounting_error; state "
                 "the measured value in the section 'stand'"
             )
         if any(s.name == "gravity" and s.u > 0.0 for s in sources):
-            yield (
+            yield message(
                 "gravity: coefficients per local g do not depend on it; values in m/s² and use at another place do"
             )
 

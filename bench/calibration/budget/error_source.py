@@ -107,7 +107,7 @@ class ErrorSource:
 
     def sized(self, u: float) -> ErrorSource:
         """Return the source with a normal distribution of standard uncertainty `u`."""
-        return replace(self, distribution=Distribution(u), origin="as asked")
+        return replace(self, distribution=Distribution(u), origin=message("as asked"))
 
 
 MEANS: Final = "stand_means"
@@ -137,7 +137,7 @@ def _sources(
         if source in angles:
             told = [known.place(source.name, label) is not None for label in labels]
             own = np.where(told, known.remount.get(source.name, 0.0), source.u)
-            origin = f"{LEARNED}: what a remount adds"
+            origin = message(f"{LEARNED}: what a remount adds")
             learned = replace(source, origin=origin, prior=False, dof=np.inf) if any(told) else source
             yield _with_root(learned, own[:, None] * (clamped[:, None] == np.arange(len(clamped))))
         elif known.noise is not None and source.name in ("voltmeter_error", "setting_error"):
@@ -154,8 +154,8 @@ def _means(kinds: tuple[str, ...], known: KnownStand, labels: Sequence[str]) -> 
     root = np.array([np.zeros(len(half)) if place is None else half[place] for place in places])
     if root.size and np.any(root):
         plain = ErrorSource(
-            MEANS, "α mean", "rad", Distribution(1.0), "run", "stand", f"{LEARNED}: means of all mountings",
-            angles=kinds,
+            MEANS, "α mean", "rad", Distribution(1.0), "run", "stand",
+            message(f"{LEARNED}: means of all mountings"), angles=kinds,
         )  # fmt: skip
         yield _with_root(plain, root)
 
@@ -255,11 +255,12 @@ def foundation_of(readings: Readings | None, bench: BenchFile, *, levelled: bool
     """
     seen = None if readings is None else drift_rad_s(readings.extra)
     if seen is not None:
-        return TiltRate(*seen, "the level, read again after the levelling")
+        return TiltRate(*seen, message("the level, read again after the levelling"))
     stated = bench.stand.foundation
     if stated is not None:
         rate = stated.to_distribution().u / DAY
-        return TiltRate(rate, rate, "bench file", dof=stated.dof)
+        return TiltRate(rate, rate, message("bench file"), dof=stated.dof)
     if not levelled:
         return None
-    return TiltRate(FOUNDATION.u, FOUNDATION.u, "not stated: ±2 arcsec a day, the paper's", prior=True)
+    origin = message("not stated: ±2 arcsec a day, the paper's")
+    return TiltRate(FOUNDATION.u, FOUNDATION.u, origin, prior=True)

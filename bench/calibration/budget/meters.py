@@ -183,8 +183,10 @@ def joint_errors(
     places = [place if place is not None else -1 for place in at]
     group = np.array([told.group[place] if place >= 0 else -1 - k for k, place in enumerate(places)])
     basis = contrasts_within(group)
-    if not basis.shape[1] or np.all(certified):
-        return "certificates cover all of it" if basis.shape[1] else "no two of these meters were compared"
+    if not basis.shape[1]:
+        return message("no two of these meters were compared")
+    if np.all(certified):
+        return message("certificates cover all of it")
     values = np.where(np.array(places) >= 0, told.values[places], 0.0)
     own = told.covariance[np.ix_(places, places)]
     difference, spread = basis.T @ values, basis.T @ own @ basis
@@ -192,7 +194,7 @@ def joint_errors(
     expected = basis.T @ prior @ basis + spread
     chi2 = float(difference @ np.linalg.solve(expected, difference))
     if special.chdtrc(len(difference), chi2) < CONTRADICTS_P:
-        return "they contradict certificates or makers' limits: have the voltmeters calibrated"
+        return message("they contradict certificates or makers' limits: have the voltmeters calibrated")
     gain = kept * prior @ basis @ np.linalg.inv(expected)
     found = JointErrors(gain @ difference, prior - kept * gain @ basis.T @ prior)
     found = _as_certified(found, prior, certified)
@@ -204,7 +206,7 @@ def joint_errors(
         left = np.sqrt(np.maximum(np.min(prior_u[same]) ** 2 - np.diag(covariance), 0.0)) * free
         covariance += np.outer(left, left)
     if np.any(np.diag(covariance) > (1 + 1e-9) * prior_u**2):
-        return "the certificates are worse than the makers' limits"
+        return message("the certificates are worse than the makers' limits")
     return JointErrors(found.mean[:n], covariance)
 
 
@@ -270,7 +272,8 @@ def known_meters(
     found: dict[str, tuple[Size, JointErrors]] = {}
     notes = []
     every: tuple[tuple[Quantity, str, LearnedDifferences], ...] = (
-        ("voltmeter_gain", "gains", learned.gain), ("voltmeter_offset", "zeros", learned.zero)
+        ("voltmeter_gain", message("the gains"), learned.gain),
+        ("voltmeter_offset", message("the zeros"), learned.zero),
     )  # fmt: skip
     for name, words, told in every:
         stated = getattr(bench.uncertainty, name)
@@ -280,11 +283,15 @@ def known_meters(
             sizes = [Size.stated(stated)] * len(forms)
         certified = np.array([stated is None and _certified(name, meter) is not None for meter in forms])
         if kept == 0.0:
-            own: JointErrors | str = f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
+            own: JointErrors | str = message(
+                f"in {METERS_DRIFT.days} days voltmeters may drift through their limits"
+            )
         else:
             own = joint_errors(told, at, np.array([size.distribution.u for size in sizes]), certified, kept)
         if isinstance(own, str):
-            notes.append(f"what was learned of how the {words} of the voltmeters differ is not used: {own}")
+            notes.append(
+                message(f"what was learned of how {words} of the voltmeters differ is not used: {own}")
+            )
             continue
         origins = "; ".join(dict.fromkeys(size.origin for size in sizes))
         size = Size(
@@ -296,7 +303,9 @@ def known_meters(
         found[name] = size, own
     if not found:
         return None, tuple(notes)
-    notes.append(f"readings corrected by the {origin}; what the voltmeters have in common stays as stated")
+    notes.append(
+        message(f"readings corrected by the {origin}; what the voltmeters have in common stays as stated")
+    )
     return KnownMeters(
         found, _added(found, bench, "voltmeter_gain"), _added(found, bench, "voltmeter_offset")
     ), tuple(notes)
@@ -341,8 +350,8 @@ def thermometer_size(bench: BenchFile) -> Size | None:
         size = Size(limit, origin, prior=True)
     stated = thermometer.gradient
     gradient = GRADIENT if stated is None else Distribution(stated, "rectangular")
-    origin = message(f"{size.origin}; ±{gradient.limit:g} K to the block") + (
-        " as usual" if stated is None else ""
+    origin = message(
+        f"{size.origin}; ±{gradient.limit:g} K to the block{' as usual' if stated is None else ''}"
     )
     both = Distribution(math.hypot(size.distribution.u, gradient.u))
     return Size(both, origin, size.dof, size.prior or stated is None)

@@ -281,7 +281,7 @@ IN_UNIT_OF_FILE: Final = message("the copy has them in the unit of the file")
 
 
 def _other_unit(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    where = "" if scope.whole else str(scope).replace("in ", " of ", 1)
+    where = "" if scope.whole else str(scope).removeprefix("in ")
     # all channels, a single one, or two
     sets = [chosen for size in (3, 1, 2) for chosen in combinations(range(3), size)]
     # a wrong unit by one or two prefixes, or a decimal point moved by one or two digits
