@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final, Literal, cast
 
 from bench.base.languages import message
@@ -11,7 +12,7 @@ from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import SURROUNDINGS, InstrumentForm, InstrumentsSection
 from bench.config.devices.device import Role, WiredForm, is_serial
 from bench.config.devices.manual import ManualThermometerSection
-from bench.config.devices.registry import devices
+from bench.config.devices.registry import devices, why_not_loaded
 from bench.config.devices.sections import (
     ControlledChamberForm,
     LevelForm,
@@ -143,9 +144,8 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
     try:
         return device.class_of(which)
     except Exception as error:
-        cause = message(
-            f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
-        )
+        why = why_not_loaded(error, Path(devices().origin(section.driver) or "built-in").parent)
+        cause = message(f"the {which} {getattr(device, which)} cannot be loaded ({why})")
         raise BenchError(section.name, cause, f"correct the {which}, then start again") from error
 
 
