@@ -341,7 +341,7 @@ class ScpiVoltmeter(ABC):
         if troubles:
             raise InstrumentRefused(
                 self.name,
-                f"{cause}: {', '.join(troubles)}",
+                f"{cause}: {', '.join(dict.fromkeys(troubles))}",
                 "look these up in the meter's manual, and check that nobody else controls the meter",
             )
 

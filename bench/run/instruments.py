@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final, Literal
 
 from bench.base.languages import message
 from bench.base.text import listed
+from bench.run.driver_checks import checked_identity, checked_temperature, named_fault
 from bench.run.events import EventType
 from bench.run.person import NO, RunControl, Stopped, agree, ask
 from bench.run.power import UnitPower
@@ -64,10 +66,14 @@ class Instruments:
         failures: list[BenchError] = []
         for instrument in self.all():
             try:
-                identities[instrument.name] = instrument.open()
+                identities[instrument.name] = checked_identity(instrument, instrument.open())
                 self.opened.add(instrument.name)
             except BenchError as error:
                 failures.append(error)
+            except Exception as error:
+                if (fault := named_fault(error, [instrument])) is None:
+                    raise
+                failures.append(fault)
         if failures:
             raise failures[0] if len(failures) == 1 else NotConnected(failures)
         return identities
@@ -167,6 +173,14 @@ class TemperatureCheck:
         )
 
 
+def _thermometer_c(thermometer: interfaces.Thermometer, key: str) -> float:
+    return checked_temperature(thermometer, "block_c", thermometer.block_c(key))
+
+
+def _chamber_c(chamber: ThermalChamber, key: str) -> float:
+    return checked_temperature(chamber, "temperature", chamber.temperature(key))
+
+
 def told_at_mounting(instruments: Instruments, key: str, check: TemperatureCheck) -> float | None:
     """Return the block's temperature, °C, that a person enters at a mounting; None if no person enters it.
 
@@ -174,8 +188,8 @@ def told_at_mounting(instruments: Instruments, key: str, check: TemperatureCheck
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
     if thermometer is not None:
-        return check(thermometer.block_c, key) if thermometer.asks_person else None
-    return check(chamber.temperature, key) if chamber is not None and chamber.asks_person else None
+        return check(partial(_thermometer_c, thermometer), key) if thermometer.asks_person else None
+    return check(partial(_chamber_c, chamber), key) if chamber is not None and chamber.asks_person else None
 
 
 def told_at_reading(
@@ -188,12 +202,12 @@ def told_at_reading(
     Raises `BenchError`.
     """
     chamber, thermometer = instruments.chamber, instruments.thermometer
-    air_c = chamber.temperature(key) if chamber is not None and not chamber.asks_person else None
+    shown_c = _chamber_c(chamber, key) if chamber is not None and not chamber.asks_person else None
     if thermometer is not None and not thermometer.asks_person:
-        return thermometer.block_c(key), air_c
-    if thermometer is None and air_c is not None:
-        return air_c, None
-    return told_at_mounting(instruments, key, check) if known_c is None else known_c, air_c
+        return _thermometer_c(thermometer, key), shown_c
+    if thermometer is None and shown_c is not None:
+        return shown_c, None
+    return told_at_mounting(instruments, key, check) if known_c is None else known_c, shown_c
 
 
 def told_around(
@@ -211,8 +225,8 @@ def told_around(
 
     def told(column: str, by: interfaces.Thermometer) -> float:
         if not by.asks_person:
-            return by.block_c(key)
-        return known[column] if column in known else check(column)(by.block_c, key)
+            return _thermometer_c(by, key)
+        return known[column] if column in known else check(column)(partial(_thermometer_c, by), key)
 
     by_column = {
         column: air_c if by == "chamber" else told(column, by) for column, by in instruments.around.items()

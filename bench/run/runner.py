@@ -24,6 +24,7 @@ from bench.config.procedure.plan import (
     Turn,
 )
 from bench.readings.table import Reading
+from bench.run.driver_checks import named_fault
 from bench.run.events import HEARD, TRANSITIONS, Event, EventType, RecordError, RunState, Wish, result_to_json
 from bench.run.expectation import EarlySign
 from bench.run.instruments import agree_to_others, how_it_stopped, leave_safe, same_serials
@@ -181,6 +182,8 @@ class Runner:
                 self._run(resume)
             finally:
                 self.people.hold_signals()
+        except Exception as error:
+            cause = named_fault(error, self.bench.instruments.all()) or error
         except BaseException as error:
             cause = error
         self._way_out(cause)

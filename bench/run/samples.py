@@ -15,6 +15,7 @@ from scipy.special import stdtr, stdtrit
 from bench.base.arrays import Floats
 from bench.base.languages import message
 from bench.readings.table import Outlier
+from bench.run.driver_checks import checked_temperature
 from bench.run.events import EventType
 from drivers.clock import Clock
 from drivers.interfaces import BenchError, ThermalChamber
@@ -289,6 +290,11 @@ LEAST_WAY_K: Final = 2.0
 """Least difference of set point and air that is checked, K; noise and the air's lag hide a smaller one."""
 
 
+def air_c(chamber: ThermalChamber, key: str) -> float:
+    """Return the temperature of a settling chamber, °C. Raises `BenchError`, also for an implausible value."""
+    return checked_temperature(chamber, "temperature", chamber.temperature(key, settling=True))
+
+
 @dataclass
 class ChamberWatch:
     """Checks that a chamber's air covers 20 % of the way to a new set point within `slow_after_s`, s.
@@ -308,7 +314,7 @@ class ChamberWatch:
         if chamber.asks_person:
             return
         try:
-            start_c = chamber.temperature(key, settling=True)
+            start_c = air_c(chamber, key)
         except BenchError:
             return  # the step that needs the temperature will report the error
         if abs(target_c - start_c) >= LEAST_WAY_K:
@@ -324,7 +330,7 @@ class ChamberWatch:
         if chamber is None or not self.due:
             return
         try:
-            self.take(chamber.name, chamber.temperature(key, settling=True))
+            self.take(chamber.name, air_c(chamber, key))
         except BenchError:
             self._way_c = None  # the step that needs the temperature will report the error
 

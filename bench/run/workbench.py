@@ -29,6 +29,7 @@ from bench.config.procedure.plan import (
 from bench.config.procedure.steps import in_scan_order, read_order
 from bench.readings.columns import Rail, between
 from bench.readings.table import Reading
+from bench.run.driver_checks import checked_inclination, checked_position, checked_samples
 from bench.run.events import (
     Answered,
     CameToRest,
@@ -50,7 +51,15 @@ from bench.run.instruments import (
 )
 from bench.run.person import UNTOUCHED, ask, confirm, mount_prompt, untouched_prompt
 from bench.run.power import NAP_S, Feeding, UnitPower, warm_up
-from bench.run.samples import SLOW_AFTER_S, ChamberWatch, Criterion, Settling, describe, wait_until_settled
+from bench.run.samples import (
+    SLOW_AFTER_S,
+    ChamberWatch,
+    Criterion,
+    Settling,
+    air_c,
+    describe,
+    wait_until_settled,
+)
 from drivers import interfaces
 from drivers.angles import wrapped_rad
 from drivers.clock import Clock
@@ -135,7 +144,8 @@ class Levelling:
         )
 
     def _set_head(self, step: Level, number: int) -> HeadPosition:
-        self.position = self.instruments.head.move(0.0, 1, f"{step.key}/zero{number}")
+        head = self.instruments.head
+        self.position = checked_position(head, head.move(0.0, 1, f"{step.key}/zero{number}"))
         return self.position
 
     def _measured(self, step: Level, level: interfaces.Level, attempt: int) -> Levelled:
@@ -209,7 +219,7 @@ class Levelling:
                     action={"do": "place_level", "turned": turned},
                 ),
             )
-        return level.inclination(key, turned=turned)
+        return checked_inclination(level, level.inclination(key, turned=turned))
 
 
 def _zero(first: Inclination, second: Inclination) -> Inclination:
@@ -361,7 +371,8 @@ class Workbench:
 
     def do_turn(self, step: Turn) -> Turned:
         """Turn the head to the step's target angle; return the target and the angle read back, degrees."""
-        self._position = self.instruments.head.move(step.target_rad, step.direction, step.key)
+        head = self.instruments.head
+        self._position = checked_position(head, head.move(step.target_rad, step.direction, step.key))
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
     def do_level(self, step: Level) -> Levelled:
@@ -411,14 +422,15 @@ class Workbench:
         return CameToRest(state.elapsed_s, state.values)
 
     def _air_c(self, chamber: ThermalChamber, key: str) -> float:
-        air_c = chamber.temperature(key, settling=True)
-        self._chamber_watch.take(chamber.name, air_c)
-        return air_c
+        shown_c = air_c(chamber, key)
+        self._chamber_watch.take(chamber.name, shown_c)
+        return shown_c
 
     def _quick_signals(self) -> tuple[float, ...]:
         """Return the present signals x, y, z in V: the last of the shortest possible series of samples."""
-        self._configure(VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples))
-        samples = self._sample(self.instruments.voltmeters)
+        settings = VoltmeterSettings(self.bench.range_v, QUICK_NPLC, self.bench.least_samples)
+        self._configure(settings)
+        samples = self._sample(self.instruments.voltmeters, settings)
         return tuple(samples[channel][-1] for channel in CHANNELS)
 
     def glance(self) -> tuple[float, ...]:
@@ -475,12 +487,13 @@ class Workbench:
 
     def do_read(self, step: Read) -> Reading:
         """Take one reading with all voltmeters, along with the temperatures and the supply's rails."""
-        self._configure(VoltmeterSettings(self.bench.range_v, step.nplc, step.samples))
+        settings = VoltmeterSettings(self.bench.range_v, step.nplc, step.samples)
+        self._configure(settings)
         self._take_temperature(step.key)
         before = self._rails(step.key)
         begun_s = self.now_s()
         meters = in_scan_order(self.instruments.voltmeters, step.scan)
-        samples = self._sample(meters)
+        samples = self._sample(meters, settings)
         rails = between(before, self._rails(step.key))  # raises if the samples cannot be trusted
         described = describe(samples)
         statistics = [described[channel] for channel in CHANNELS]
@@ -523,8 +536,8 @@ class Workbench:
         self.temperature_c, self._chamber_c = told_at_reading(
             self.instruments, self.temperature_c, key, check
         )
-        air_c = self.temperature_c if self.instruments.thermometer is None else self._chamber_c
-        self._around_c = told_around(self.instruments, self._around_c, air_c, key, self._check_around)
+        shown_c = self.temperature_c if self.instruments.thermometer is None else self._chamber_c
+        self._around_c = told_around(self.instruments, self._around_c, shown_c, key, self._check_around)
         low_c, high_c = self.bench.block_limits_c
         if self.temperature_c is not None and not low_c <= self.temperature_c <= high_c:
             raise LimitExceeded(
@@ -538,14 +551,13 @@ class Workbench:
         return TemperatureCheck(self.person, self._around_c.get(column))
 
     @staticmethod
-    def _sample(meters: Sequence[Voltmeter]) -> dict[str, tuple[float, ...]]:
+    def _sample(meters: Sequence[Voltmeter], settings: VoltmeterSettings) -> dict[str, tuple[float, ...]]:
         """Start all meters, then fetch, so that they sample at the same time; return the samples by channel."""
         for meter in meters:
             meter.start()
         samples: dict[str, tuple[float, ...]] = {}
         for meter in meters:
-            for channel, values in meter.fetch().items():
-                samples[channel] = values
+            samples.update(checked_samples(meter, meter.fetch(), settings).items())
         return samples
 
     def _configure(self, settings: VoltmeterSettings) -> None:

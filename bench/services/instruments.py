@@ -26,6 +26,13 @@ from bench.run.assembly.served import dry_evening, real_bench, real_evening
 from bench.run.commission.course import HasScale, go_through
 from bench.run.commission.morning import MorningCourse
 from bench.run.commission.session import CommissioningSession, SessionEnded, status_of
+from bench.run.driver_checks import (
+    checked_identity,
+    checked_inclination,
+    checked_samples,
+    checked_temperature,
+    named_fault,
+)
 from bench.run.expectation import COEFFICIENT_COUNT, STATE, Expectation, NoiseSizes, ReadingJudgement, poses
 from bench.run.instruments import leave_safe
 from bench.run.interrupts import Interrupts
@@ -179,7 +186,7 @@ def _look_at_all(
 
 def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
     try:
-        row.identity = instrument.open()
+        row.identity = checked_identity(instrument, instrument.open())
         if row.identity.maker == _BY_HAND:
             row.self_test = row.shows = _BY_HAND
             return
@@ -192,7 +199,8 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
         row.failure = error
     except Exception as error:  # one driver's mistake must not hide what the others show
         cause = f"the driver failed with {type(error).__name__} ({error})"
-        row.failure = BenchError(row.name, cause, "repeat it with --wire-log FILE and report the log")
+        unknown = BenchError(row.name, cause, "repeat it with --wire-log FILE and report the log")
+        row.failure = named_fault(error, [instrument]) or unknown
     finally:
         row.to_do = let_go(instrument)
 
@@ -200,13 +208,15 @@ def _look_at(instrument: Instrument, row: InstrumentLook, range_v: float) -> Non
 def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
     """Take one reading of a voltmeter, chamber, supply, thermometer, level or head, and note it in its row."""
     if isinstance(instrument, Voltmeter):
-        instrument.configure(VoltmeterSettings(range_v, QUICK_NPLC, row.samples))
+        settings = VoltmeterSettings(range_v, QUICK_NPLC, row.samples)
+        instrument.configure(settings)
         row.settings = f"{range_v:g} V, {QUICK_NPLC:g} NPLC"
         instrument.start()
-        row.value = {channel: samples[0] for channel, samples in instrument.fetch().items()}
+        taken = checked_samples(instrument, instrument.fetch(), settings)
+        row.value = {channel: samples[0] for channel, samples in taken.items()}
         row.shows = ", ".join(f"{channel} {value:+.6f} V" for channel, value in row.value.items())
     elif isinstance(instrument, ThermalChamber):
-        row.value = instrument.temperature("instruments")
+        row.value = checked_temperature(instrument, "temperature", instrument.temperature("instruments"))
         row.shows = f"{row.value:.1f} °C"
     elif isinstance(instrument, PowerSupply):
         states = instrument.state("instruments")
@@ -216,10 +226,10 @@ def _read(instrument: Instrument, row: InstrumentLook, range_v: float) -> None:
             for output, state in states.items()
         )
     elif isinstance(instrument, Thermometer):
-        row.value = instrument.block_c("instruments")
+        row.value = checked_temperature(instrument, "block_c", instrument.block_c("instruments"))
         row.shows = f"{row.value:.2f} °C, {instrument.sensor}"
     elif isinstance(instrument, Level):
-        found = instrument.inclination("instruments", turned=False)
+        found = checked_inclination(instrument, instrument.inclination("instruments", turned=False))
         row.value = {"along": found.along_rad, "across": found.across_rad}
         row.shows = ", ".join(f"{axis} {value / ARCSEC:+.1f} arcsec" for axis, value in row.value.items())
     elif isinstance(instrument, HasScale):

@@ -11,6 +11,7 @@ import math
 import re
 import threading
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -87,6 +88,7 @@ class MessageSession:
         self._wanted = False
         self._desynchronised = False
         self._count = 0
+        self._sent: deque[str] = deque(maxlen=2)
         self._connection: Connection | AdapterConnection | None = None
 
     @property
@@ -164,7 +166,7 @@ class MessageSession:
             if not fits:  # the transport did not fail, so the wire log gets no "!" line
                 self._give_up()
         if not fits:
-            raise BadReading(
+            raise self._echo(reply) or BadReading(
                 self.name,
                 f"the reply to {command} is {_shown(reply)}, not {expected}",
                 "try again, and if the fault returns, check cable and terminations",
@@ -267,6 +269,7 @@ class MessageSession:
 
     def _send(self, connection: Connection | AdapterConnection, command: str) -> None:
         self._log(">", command)
+        self._sent.append(command.strip())
         if not connection.send((command + self._write_termination).encode("ascii"), self.timeout_s):
             raise InstrumentLost(
                 self.name,
@@ -314,7 +317,7 @@ class MessageSession:
                 )
             if more:
                 self._log("<", _text(data))
-                raise BadReading(
+                raise self._echo(_text(data)) or BadReading(
                     self.name,
                     f"more than one reply came to {command}, the first {_shown(_text(data).rstrip())}",
                     "try again, and check that no other program uses the instrument",
@@ -374,10 +377,21 @@ class MessageSession:
         if not data:
             raise self._closed(message(f"{self.resource} closed the connection before {command}"))
         self._log("<", _text(data).rstrip("\r\n"))
-        raise BadReading(
+        raise self._echo(_text(data)) or BadReading(
             self.name,
             f"{_shown(_text(data).rstrip())} came unasked before {command}",
             "repeat this step, and check that no other program uses the instrument",
+        )
+
+    def _echo(self, text: str) -> BadReading | None:
+        """Return the error for an instrument that sends its last commands back; None for any other text."""
+        echoed = next((line for line in text.splitlines() if line.strip()), "").strip()
+        if echoed not in self._sent:
+            return None
+        return BadReading(
+            self.name,
+            f"{self.resource} sends the command {echoed} back",
+            "switch the echo off at the instrument or its adapter",
         )
 
     def _log(self, direction: str, text: str) -> None:

@@ -124,6 +124,16 @@ def test_it_speaks_in_its_own_words() -> None:
         meter.configure(SETTINGS)
 
 
+def test_an_error_that_fills_the_queue_is_told_once() -> None:
+    queue: Pairs = [(":STAT:QUE?", '-410,"Query INTERRUPTED"')] * (1 + OtherMake.errors_kept)
+    session = ScriptedSession(OPEN, SET, queue)
+    meter = other_make(session, session.clock)  # type: ignore[arg-type]
+    meter.open()
+    with pytest.raises(InstrumentRefused) as refusal:
+        meter.configure(SETTINGS)
+    assert str(refusal.value).count("-410") == 1
+
+
 def test_the_number_of_an_error_is_the_first_group_of_its_pattern(monkeypatch) -> None:
     monkeypatch.setattr(OtherMake, "error_reply", r"NO (\d+)/[A-Z ]+")
     session = ScriptedSession(OPEN, SET, [(":STAT:QUE?", "NO 7/BAD POINTS"), (":STAT:QUE?", "NO 0/NONE")])

@@ -255,7 +255,7 @@ class Drifting(Bench):
 @pytest.fixture
 def drifting(monkeypatch):
     """Let the meters of a bench show what it drifts to."""
-    monkeypatch.setattr(Meter, "fetch", lambda meter: {meter.channel: (meter.bench.volts(),)})
+    monkeypatch.setattr(Meter, "fetch", lambda meter: {meter.channel: (meter.bench.volts(),) * meter.samples})
 
 
 def test_a_warm_up_lasts_until_the_signals_have_settled(run, drifting):

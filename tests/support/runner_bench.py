@@ -43,6 +43,7 @@ class Meter:
         self.bench, self.channel, self.absent = bench, channel, absent
         self.channels: tuple[Channel, ...] = (channel,)
         self.name = f"voltmeter.{channel}"
+        self.samples = 2
 
     def open(self) -> Identity:
         if self.absent:
@@ -54,13 +55,14 @@ class Meter:
 
     def configure(self, settings: VoltmeterSettings) -> None:
         self.bench.act("configure", self.name, settings)
+        self.samples = settings.samples
 
     def start(self) -> None:
         self.bench.act("start", self.name)
 
     def fetch(self) -> dict[Channel, tuple[float, ...]]:
         self.bench.act("fetch", self.name)
-        return {self.channel: (1.0, 2.0)}
+        return {self.channel: (1.0, *[2.0] * (self.samples - 1))}
 
 
 class Head:

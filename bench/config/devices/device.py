@@ -215,9 +215,9 @@ class WiredForm(DeviceSection):
         return bus_place(self.resource)
 
     def port(self) -> Port:
-        """Return the setup of the wire: that in the instrument's facts, with the settings in `serial`."""
-        stated = getattr(self, "serial", None)
-        serial = None if stated is None else {**self.facts.SERIAL, **stated.settings()}
+        """Return the setup of the wire: that in the instrument's facts, with the settings in `serial`, if any."""
+        stated, of_facts = getattr(self, "serial", None), getattr(self.facts, "SERIAL", None)
+        serial = of_facts if stated is None else {**self.facts.SERIAL, **stated.settings()}
         tail = getattr(self.facts, "READ_TAIL", 0)
         return Port(self.facts.READ_TERMINATION, self.facts.WRITE_TERMINATION, serial, tail)
 

@@ -21,6 +21,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from hashlib import sha256
 from pathlib import Path
+from traceback import extract_tb
 from types import ModuleType
 from typing import Annotated, Any, Final, Literal, Union, get_args
 
@@ -41,13 +42,17 @@ from bench.config.devices.sections import (
     SUPPLY_FACTS,
     VOLTMETER_FACTS,
     ChamberForm,
+    ControlledChamberForm,
     HeadForm,
     LevelForm,
+    MotorisedHeadForm,
+    ReadOutHeadForm,
     SizeK,
     SupplyForm,
     ThermometerForm,
     VoltmeterForm,
     VoltmeterKind,
+    WiredSupplyForm,
 )
 from drivers.interfaces import BenchError, Channel, SupplyLimits
 
@@ -165,9 +170,17 @@ def _take(result: Devices, name: str, place: str) -> None:
         module = importlib.import_module(name)
     except (Exception, SystemExit) as error:
         place = f"{place}.py" if Path(f"{place}.py").is_file() else place
-        result.troubles.append(f"{place} cannot be loaded ({type(error).__name__}: {error})")
+        result.troubles.append(f"{place} cannot be loaded ({why_not_loaded(error, Path(place))})")
         return
     _take_from(result, module, str(module.__file__))
+
+
+def why_not_loaded(error: BaseException, where: Path) -> str:
+    """Return kind and words of an error on one line; with the last line of a file in the folder or file `where`."""
+    frames = [one for one in extract_tb(error.__traceback__) if Path(one.filename).is_relative_to(where)]
+    at = f", {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+    words = (str(error).splitlines() or [""])[0]
+    return f"{type(error).__name__}: {words}{at}"
 
 
 def _take_from(result: Devices, module: ModuleType, place: str) -> None:
@@ -195,6 +208,25 @@ def _take_entry(result: Devices, entry: importlib.metadata.EntryPoint) -> None:
         _take_from(result, loaded, place)
 
 
+_WIRED_FORMS: Final = (
+    VoltmeterForm,
+    MotorisedHeadForm,
+    ReadOutHeadForm,
+    ControlledChamberForm,
+    LevelForm,
+    ThermometerForm,
+    WiredSupplyForm,
+)
+"""The forms of instruments with a wire: each decides with which arguments the driver is constructed."""
+
+_DEFINED_BY_EACH: Final = (
+    (VoltmeterForm, "inputs_used"),
+    (ThermometerForm, "tolerance_k"),
+    (SupplyForm, "limits"),
+)
+"""Properties that the sections of a role define themselves."""
+
+
 def _wrong_declaration(device: Device) -> str | None:
     section = device.section
     if (
@@ -206,10 +238,16 @@ def _wrong_declaration(device: Device) -> str | None:
     stated = get_args(section.model_fields["driver"].annotation)
     if stated != (device.name,):
         return f"the section of '{device.name}' does not have driver: Literal['{device.name}']"
+    for form, member in _DEFINED_BY_EACH:
+        if issubclass(section, form) and getattr(section, member) is getattr(form, member):
+            return f"the section of '{device.name}' does not define {member}"
     if issubclass(section, WiredForm):
-        of_role = [VOLTMETER_FACTS] if issubclass(section, VoltmeterForm) else []
-        of_role += [SUPPLY_FACTS] if issubclass(section, SupplyForm) else []
-        needed = sum(of_role, WIRE_FACTS)
+        if not issubclass(section, _WIRED_FORMS):
+            forms = " or ".join(form.__name__ for form in _WIRED_FORMS if form.role == device.role)
+            return f"the section of '{device.name}' has a wire, but does not subclass {forms}"
+        of_voltmeter = VOLTMETER_FACTS if issubclass(section, VoltmeterForm) else ()
+        of_supply = SUPPLY_FACTS if issubclass(section, SupplyForm) else ()
+        needed = (*WIRE_FACTS, *of_voltmeter, *of_supply)
         lacking = [name for name in needed if not hasattr(getattr(section, "facts", None), name)]
         if lacking:
             return f"the facts of '{device.name}' lack {', '.join(lacking)}"

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, cast
+from pathlib import Path
+from typing import Any, Final, Literal, cast
 
 from bench.base.languages import message
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import SURROUNDINGS, InstrumentForm, InstrumentsSection
-from bench.config.devices.device import WiredForm, is_serial
+from bench.config.devices.device import Role, WiredForm, is_serial
 from bench.config.devices.manual import ManualThermometerSection
-from bench.config.devices.registry import devices
+from bench.config.devices.registry import devices, why_not_loaded
 from bench.config.devices.sections import (
     ControlledChamberForm,
     LevelForm,
@@ -27,7 +28,15 @@ from bench.run.instruments import Instruments
 from drivers.chambers import ChamberLimits
 from drivers.clock import Clock, Haste
 from drivers.facts.keysight_34970a import CARD
-from drivers.interfaces import BenchError, Voltmeter
+from drivers.interfaces import (
+    BenchError,
+    DividingHead,
+    Level,
+    PowerSupply,
+    ThermalChamber,
+    Thermometer,
+    Voltmeter,
+)
 from drivers.motion import Travel
 from drivers.person import Person
 from drivers.readout import Approach, ScaleOfEncoder
@@ -41,6 +50,23 @@ from sim.world.operator import OperatorSettings
 from sim.world.pose import LevelSettings
 from sim.world.power import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
+
+PROTOCOLS: Final[dict[Role, type[Any]]] = {
+    "voltmeter": Voltmeter,
+    "head": DividingHead,
+    "chamber": ThermalChamber,
+    "level": Level,
+    "thermometer": Thermometer,
+    "power_supply": PowerSupply,
+}
+"""The protocol that the driver of each role has."""
+
+
+def protocol_members(protocol: type[Any]) -> set[str]:
+    """Return the names of the methods and attributes that a protocol demands."""
+    stated = [base for base in protocol.__mro__ if getattr(base, "_is_protocol", False)]
+    names = {name for base in stated for name in (*vars(base), *vars(base).get("__annotations__", ()))}
+    return {name for name in names if not name.startswith("_")}
 
 
 @dataclass(frozen=True)
@@ -118,9 +144,8 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
     try:
         return device.class_of(which)
     except Exception as error:
-        cause = message(
-            f"the {which} {getattr(device, which)} cannot be loaded ({type(error).__name__}: {error})"
-        )
+        why = why_not_loaded(error, Path(devices().origin(section.driver) or "built-in").parent)
+        cause = message(f"the {which} {getattr(device, which)} cannot be loaded ({why})")
         raise BenchError(section.name, cause, f"correct the {which}, then start again") from error
 
 
@@ -129,40 +154,62 @@ def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Su
     made: dict[str, Any] = {meter.name: meter for meter in meters}
     of = {section.name: key.partition("_")[0] for key, section in sections.around.items()}
     for section in sections.thermometers:
-        driver, options = loaded_class(section, "driver"), section.driver_options()
+        options = section.driver_options()
         if not isinstance(section, WiredForm):
             if isinstance(section, ManualThermometerSection) and section.name in of:
                 options["of"] = of[section.name]
-            made[section.name] = driver(section.name, given.person, **options)
+            made[section.name] = _made(section, given.person, **options)
             continue
         options["line_hz"] = given.line_hz
         beside = sections.beside(section)
         if beside is not None:
             options |= {"interface": getattr(beside, "interface", "lan"), "meter": made[beside.name]}
         session = given.session(section.name, section) if beside is None else given.sessions[beside.name]
-        made[section.name] = driver(section.name, session, given.clock, **options)
+        made[section.name] = _made(section, session, given.clock, **options)
     return made
 
 
 def _driver(section: InstrumentForm, given: Surroundings) -> Any:
-    driver, options = loaded_class(section, "driver"), section.driver_options()
+    options = section.driver_options()
     if not isinstance(section, WiredForm):
-        return driver(section.name, given.person, **options)
-    session = given.session(section.name, section)
+        return _made(section, given.person, **options)
+    session, clock = given.session(section.name, section), given.clock
     if isinstance(section, VoltmeterForm):
         options |= {"interface": section.interface, "line_hz": given.line_hz}
-        return driver(section.name, section.inputs_used, session, given.clock, **options)
+        return _made(section, section.inputs_used, session, clock, **options)
     if isinstance(section, MotorisedHeadForm):
-        return driver(section.name, session, given.clock, Travel(**section.travel()), **options)
+        return _made(section, session, clock, Travel(**section.travel()), **options)
     if isinstance(section, ReadOutHeadForm):
         options["scale"] = ScaleOfEncoder(**section.scale())
-        approach = Approach(**section.approach())
-        return driver(section.name, session, given.clock, given.person, approach, **options)
+        return _made(section, session, clock, given.person, Approach(**section.approach()), **options)
     if isinstance(section, ControlledChamberForm):
-        return driver(section.name, session, given.clock, ChamberLimits(*section.limits()), **options)
+        return _made(section, session, clock, ChamberLimits(*section.limits()), **options)
     if isinstance(section, WiredSupplyForm | LevelForm):
-        return driver(section.name, session, given.clock, **options)
+        return _made(section, session, clock, **options)
     raise TypeError(f"{type(section).__name__} has a wire, but no role of this bench uses it; remove it")
+
+
+def _made(section: InstrumentForm, *given: Any, **options: Any) -> Any:
+    """Return the driver of a section, with all methods of its protocol. Raises `BenchError` otherwise."""
+    driver = loaded_class(section, "driver")
+    try:
+        made = driver(section.name, *given, **options)
+    except Exception as error:
+        cause = message(f"its driver cannot be made ({type(error).__name__}: {error})")
+        raise BenchError(section.name, cause, f"correct {driver.__module__}, then start again") from error
+    protocol = PROTOCOLS[section.role]
+    if lacking := sorted(name for name in protocol_members(protocol) if not _has(made, name)):
+        cause = message(f"its driver has no {', '.join(lacking)}")
+        raise BenchError(
+            section.name, cause, message(f"add what {protocol.__name__} in drivers/interfaces.py demands")
+        )
+    return made
+
+
+def _has(made: object, name: str) -> bool:
+    return hasattr(type(made), name) or hasattr(
+        made, name
+    )  # the class first: a property may need the instrument
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:

@@ -13,6 +13,7 @@ from bench.base.arrays import ARCSEC
 from bench.base.text import APPROACH, degrees
 from bench.config.devices.sections import ChamberForm, HeadForm, MotorisedHeadForm, SupplyForm
 from bench.run.commission.session import CheckEnded, CommissioningSession, Figure, Finding, State
+from bench.run.driver_checks import checked_temperature
 from drivers.angles import format_dms
 from drivers.interfaces import (
     BenchError,
@@ -347,6 +348,7 @@ def check_standby(evening: CommissioningSession, chamber: ThermalChamber) -> Non
 
 def _read_temperature(chamber: ThermalChamber, by_hand: bool) -> Finding:
     air_c = chamber.temperature("commission/temperature", settling=True)
+    air_c = checked_temperature(chamber, "temperature", air_c)
     said = "was read on its thermometer" if by_hand else "shows the temperature of its air"
     return Finding(READ, chamber.name, State.WORKS, said, (Figure("temperature", air_c, "°C"),))
 
@@ -420,7 +422,7 @@ def check_thermometer(evening: CommissioningSession) -> None:
 
 
 def _temperature(place: str, thermometer: Thermometer) -> Finding:
-    shown_c = thermometer.block_c("commission/temperature")
+    shown_c = checked_temperature(thermometer, "block_c", thermometer.block_c("commission/temperature"))
     figures = (Figure("temperature", shown_c, "°C"),)
     return Finding(place, thermometer.name, State.WORKS, f"shows it ({thermometer.sensor})", figures)
 

@@ -12,6 +12,7 @@ import numpy as np
 from bench.base.numbers import scale_for
 from bench.config.devices.sections import VoltmeterForm
 from bench.run.commission.session import CommissioningSession, Figure, Finding, State
+from bench.run.driver_checks import checked_samples
 from bench.run.workbench import QUICK_NPLC
 from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings
 
@@ -259,7 +260,7 @@ class SharedReading:
             raise begun
         settings, begun_s = begun
         asked_s = self._evening.time_s()
-        samples = meter.fetch()
+        samples = checked_samples(meter, meter.fetch(), settings)
         # Samples that were ready while another meter was fetched did not take longer than expected.
         expected_s = expected_time_s(self._evening, meter, settings) or math.inf
         return settings, samples, min(asked_s - begun_s, expected_s) + self._evening.time_s() - asked_s

@@ -10,6 +10,7 @@ from typing import Final
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm
 from bench.config.devices.device import WiredForm
+from bench.run.driver_checks import checked_identity, named_fault
 from bench.run.events import Wish
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, confirm
@@ -333,13 +334,15 @@ class CommissioningSession:
         except BenchError as error:
             return self._of_error(check, name, State.COULD_NOT, error)
         except Exception as error:  # a defect of one driver must not prevent the checks of the others
+            if (fault := named_fault(error, taking_part)) is not None:
+                return self._of_error(check, name, State.OTHER, fault)
             cause = f"the driver failed with {type(error).__name__} ({error})"
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
         """Open an instrument; a failure counts as a loss of the instrument. Raises `BenchError`."""
         try:
-            self.identities[instrument.name] = instrument.open()
+            self.identities[instrument.name] = checked_identity(instrument, instrument.open())
         except InstrumentLost:
             raise
         except BenchError:

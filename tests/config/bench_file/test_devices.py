@@ -15,14 +15,15 @@ from bench.config.bench_file.file import foreign_drivers, load_bench, load_recor
 from bench.config.devices.registry import _loaded, devices
 from bench.config.shipped import find_bench
 from bench.run.folder import Run
+from drivers.facts import agilent_34401a
 from drivers.interfaces import BenchError
 
 METER = """
 from typing import ClassVar, Literal
 from types import ModuleType
 
-from bench.config.devices.device import Device
-from bench.config.devices.sections import OneChannelForm
+from bench.config.devices.device import Device, WiredForm
+from bench.config.devices.sections import HeadForm, OneChannelForm, ThermometerForm, VoltmeterForm
 from drivers.facts import agilent_34401a as like_it
 
 
@@ -99,7 +100,7 @@ def test_a_module_that_fails_is_one_sentence_and_stops_nobody_else(mine, bench, 
     assert first.place == "instruments.voltmeters[1].driver"
     assert first.text.startswith("no driver 'another' is known, and ")
     assert (
-        f"{mine / 'broken.py'} cannot be loaded (ModuleNotFoundError: No module named 'no_such_thing'"
+        f"{mine / 'broken.py'} cannot be loaded (ModuleNotFoundError: No module named 'no_such_thing', broken.py:1)"
         in first.text
     )
 
@@ -109,6 +110,12 @@ def test_a_driver_that_cannot_be_loaded_is_told_of_its_instrument(mine, bench, t
     status, _, err = bench("run", "quick", "--dry-run", "--bench", own_bench(tmp_path))
     assert status == 2
     assert "voltmeter.x: the driver .own_driver:Meter cannot be loaded (AttributeError" in err
+
+
+def test_a_driver_that_fails_while_loading_is_told_with_its_line(mine, bench, tmp_path):
+    (mine / "own_driver.py").write_text("import math\n\nMeter = math.no_such_thing\n")
+    _, _, err = bench("run", "quick", "--dry-run", "--bench", own_bench(tmp_path))
+    assert "module 'math' has no attribute 'no_such_thing', own_driver.py:3)" in err
 
 
 def test_two_of_one_name_are_refused_with_both_places(mine, tmp_path):
@@ -130,6 +137,11 @@ def test_two_of_one_name_are_refused_with_both_places(mine, tmp_path):
         ('Literal["NAME"]', "str", "does not have driver: Literal['my-meter']"),
         ("facts: ClassVar = like_it", "facts: ClassVar = Literal",
          "lack READ_TERMINATION, WRITE_TERMINATION, RANGES_V"),
+        ("class Section(OneChannelForm)", "class Section(VoltmeterForm)", "does not define inputs_used"),
+        ("class Section(OneChannelForm)", "class Section(ThermometerForm, WiredForm)",
+         "does not define tolerance_k"),
+        ("class Section(OneChannelForm)", "class Section(HeadForm, WiredForm)",
+         "has a wire, but does not subclass MotorisedHeadForm or ReadOutHeadForm"),
         ("DEVICE = Device(", "DEVICE = dict(name=", "its DEVICE is no bench.config.devices.device.Device"),
     ],
 )  # fmt: skip
@@ -139,6 +151,12 @@ def test_a_declaration_that_does_not_hold_is_told(mine, old, new, text):
         source = source.replace('"NAME", Section, driver', '"NAME", section=Section, driver')
     (mine / "my_meter.py").write_text(source.replace("NAME", "my-meter"))
     assert [text in trouble for trouble in devices().troubles] == ([] if text is None else [True])
+
+
+def test_the_facts_set_the_serial_port_even_if_the_section_has_no_key_for_it(mine, tmp_path):
+    meter = load_bench(own_bench(tmp_path)).instruments.voltmeters[0]
+    assert "serial" not in type(meter).model_fields
+    assert meter.port().serial == agilent_34401a.SERIAL
 
 
 def test_an_installed_distribution_brings_an_instrument(folder, tmp_path, monkeypatch):

@@ -262,10 +262,28 @@ def first_then_well(first: Callable[[socket.socket], None]) -> Handler:
         (lambda c: c.sendall(b"\n"), BadReading, "is '', not one reading", LONG_S),
         (lambda c: c.sendall(b"56789E+00\n"), BadReading, "'56789E+00', not one reading", LONG_S),
         (lambda c: c.sendall(b"-9.00000000E+00\n" * 2), BadReading, "more than one reply", LONG_S),
+        (lambda c: c.sendall(b"OTHER?\r\n"), BadReading, "sends the command OTHER? back", LONG_S),
+        (
+            lambda c: c.sendall(b"OTHER?\n+1.00000000E+00\n"),
+            BadReading,
+            "sends the command OTHER? back",
+            LONG_S,
+        ),
         (hang_up, InstrumentLost, "closed the connection at the command OTHER?", LONG_S),
         (lambda c: (c.sendall(b"+1.23"), hang_up(c)), InstrumentLost, "after '+1.23'", LONG_S),
     ],
-    ids=["silence", "cut", "garbage", "blank", "tail", "twice", "hung up", "hung up in a reply"],
+    ids=[
+        "silence",
+        "cut",
+        "garbage",
+        "blank",
+        "tail",
+        "twice",
+        "echo",
+        "echo and reply",
+        "hung up",
+        "hung up in a reply",
+    ],
 )
 def test_bad_reply_is_one_sentence_and_the_next_exchange_is_clean(
     first: Callable[[socket.socket], None], kind: type[BenchError], cause: str, timeout_s: float
