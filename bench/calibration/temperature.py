@@ -296,6 +296,23 @@ class TemperatureModel:
         covariance: Floats = spread @ self.covariance @ spread.T
         return covariance if self.hysteresis is None else covariance + self.hysteresis.scatter
 
+    @property
+    def per_kelvin_g(self) -> float:
+        """The most that an error of 1 K of the temperature changes a at 1 g, in g, over the valid range."""
+        t = np.linspace(self.minimum_c, self.maximum_c, LOOKS + 1)
+        degree = np.arange(1, self.values.shape[1])
+        slope = (degree * self.powers(t)[:, :-1]) @ self.values[:, 1:].T
+        inverse = np.linalg.inv(self.coefficients(t)[:, :9].reshape(-1, 3, 3))
+        scale = np.linalg.norm(inverse @ slope[:, :9].reshape(-1, 3, 3), 2, axis=(1, 2))
+        bias = np.linalg.norm(np.einsum("nij,nj->ni", inverse, slope[:, 9:]), axis=1)
+        return float(np.max(scale + bias))
+
+    @property
+    def largest_u_g(self) -> float:
+        """The largest u of a component of a, in g, at 1 g along an axis, over the valid range."""
+        at, axes = np.linspace(self.minimum_c, self.maximum_c, 9).tolist(), np.vstack([np.eye(3), -np.eye(3)])
+        return max(float(np.max(self.compensate(self.block(t).output(axes), t).u)) for t in at)
+
     def outside(self, temperature_c: float | Floats) -> Mask:
         """Return whether temperatures (…) lie outside the valid range, where no reading supports the model."""
         t = np.asarray(temperature_c, dtype=np.float64)

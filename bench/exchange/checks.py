@@ -131,14 +131,17 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
     error = table.error
     return [
         f"Compensation of {of}",
-        f"a = N(T) (U - U0(T)): a in local g ({model.g_m_s2:.6g} m/s^2), U in {model.unit}, T in deg C.",
+        f"a = N(T) (U - U0(T)): a in local g ({model.g_m_s2!r} m/s^2), U in {model.unit}, T in deg C.",
         f"Valid from {model.minimum_c:.2f} to {model.maximum_c:.2f} deg C; {table.nodes} temperatures, "
         "linear between them.",
         f"Found against the polynomials at {error.looks} temperatures: interpolation adds at most "
         f"{error.bias:.2g} g,",
         f"and {error.per_g:.2g} for each g of acceleration; single precision at most {error.single:.2g} g up to "
         f"{error.reach_g:g} g.",
-        "The uncertainty of the calibration is not included; the JSON result has it.",
+        f"u of a from the calibration (k = 1): at most {model.largest_u_g:.2g} g at 1 g; the JSON result has the "
+        "covariance.",
+        "It excludes the noise of U and the error of T, 1 K of which changes a at 1 g by up to "
+        f"{model.per_kelvin_g:.2g} g.",
         *picture(model.unit),
     ]
 
@@ -232,12 +235,24 @@ static inline int compensation_specific_force(const float u[3], float t_c, float
     return outside;
 }}
 
-/* The same in double precision, for a temperature within the table. */
-static inline void compensation_specific_force_double(const double u[3], double t_c, double a[3])
+/* The same in double precision. */
+static inline int compensation_specific_force_double(const double u[3], double t_c, double a[3])
 {{
-    double row[12], part = (t_c - {table.first_c!r}) / {table.step_k!r};
-    int low = (int)part, k;
+    double row[12], part;
+    int low, k, outside = 0;
 
+    if (t_c != t_c)
+        return -1;
+    if (t_c < {table.first_c!r}) {{
+        t_c = {table.first_c!r};
+        outside = 1;
+    }}
+    if (t_c > {model.maximum_c!r}) {{
+        t_c = {model.maximum_c!r};
+        outside = 1;
+    }}
+    part = (t_c - {table.first_c!r}) / {table.step_k!r};
+    low = (int)part;
     if (low > COMPENSATION_NODES - 2)
         low = COMPENSATION_NODES - 2;
     part -= low;
@@ -247,6 +262,7 @@ static inline void compensation_specific_force_double(const double u[3], double 
     for (k = 0; k < 3; k++)
         a[k] = row[3 * k] * (u[0] - row[9]) + row[3 * k + 1] * (u[1] - row[10])
             + row[3 * k + 2] * (u[2] - row[11]);
+    return outside;
 }}
 
 {tested}

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import ARCSEC, Floats, u_of
-from bench.base.numbers import fixed, places, probability, scale_for
+from bench.base.numbers import fixed, places, probability, quantity, scale_for
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.budget.whole import OF_BLOCK
@@ -248,6 +248,10 @@ class HysteresisPart(ResultModel):
 
     rising_minus_falling: dict[str, DifferencePart]
     p: float = Field(description="p-value of all twelve differences together")
+    covariance: Matrix = Field(
+        description="12 × 12, covariance of the coefficients at any temperature, as the user does not know the "
+        "direction: add it to that of the terms; rows in the order of `coefficients`"
+    )
 
 
 class PlateauPart(ResultModel):
@@ -323,6 +327,27 @@ class CompensateResult(ResultModel):
     bench: parts.BenchPart
     corrections: parts.Corrections
     simulated: bool
+    accepted: bool = Field(description="whether the fit, the polynomials and all verifications are accepted")
+    made_at: str | None = Field(description="time of the first source (ISO 8601), if known")
+    unit_under_test: parts.UnitPart | None
+    equation: str = Field(description="what the terms and their units mean, in a sentence")
+    uncertainty: str = Field(
+        description="what u and `covariance` contain, and what they do not, in a sentence"
+    )
+    per_kelvin_g: float
+    """the most that an error of 1 K of the temperature changes a at 1 g, in g; u does not contain this error"""
+
+
+EQUATION: Final = (
+    "U = K(T) a + U0(T), a the specific force in local g, +1 on an axis that points up; each coefficient is the "
+    "sum of value (T - reference_c)^power, T the temperature of the block in deg C; K in {unit}/g, U0 in {unit}, "
+    "per K^power"
+)
+INCLUDED: Final = (
+    "u is a standard uncertainty (k = 1) of a term; the covariance of the coefficients at T is J covariance J^T, J "
+    "the powers of T - reference_c, plus hysteresis.covariance; it excludes the error of T (per_kelvin_g) and the "
+    "noise of U"
+)
 
 
 def compensate_result(
@@ -358,6 +383,8 @@ def compensate_result(
         covariance_readings=of_readings,
         uncertainty_sources=[parts.uncertainty_source(source) for source in hidden],
         hysteresis=model.hysteresis and _hysteresis(model.hysteresis),
+        equation=EQUATION.format(unit=model.unit),
+        uncertainty=INCLUDED,
         plateaus=[_plateau(plateau) for plateau in model.plateaus],
         lack_of_fit=model.fitted,
         readings={"used": model.readings, "skipped": model.skipped},
@@ -378,7 +405,7 @@ def table_part(shown: CompensationTable) -> TablePart:
 
 def _hysteresis(found: ThermalHysteresis) -> dict[str, Any]:
     differences = parts.by_coefficient(DifferencePart, found, value=found.size, p_all_looks=found.p_each)
-    return {"rising_minus_falling": differences, "p": found.p}
+    return {"rising_minus_falling": differences, "p": found.p, "covariance": found.scatter}
 
 
 def _plateau(plateau: PlateauResult) -> PlateauPart:
@@ -409,6 +436,10 @@ def print_compensation(
         f"table: {shown.nodes} temperatures, every {shown.step_k:.3g} K; interpolation adds at most "
         f"{error.bias * 1e6:.2g} µg and {error.per_g * 1e6:.2g} µg for each g, single precision "
         f"{error.single * 1e6:.2g} µg up to {error.reach_g:g} g"
+    )
+    out.print(
+        f"u of a at 1 g: at most {quantity(model.largest_u_g, 'g')}, without the error of the temperature, 1 K of "
+        f"which changes a by up to {quantity(model.per_kelvin_g, 'g')}"
     )
     print_notes(out, model.notes)
 

@@ -104,17 +104,29 @@ class Compensation:
 
     def accepted(self, *, strict: bool) -> bool:
         """Whether all verifications passed, and model and polynomials fit (p ≥ 1e-4; if `strict`, 0.01)."""
-        tests = [self.model.fitted, *([self.model.curve] if self.model.curve else [])]
-        return all(check.passed for _, check in self.checks) and all(t.accepted(strict=strict) for t in tests)
+        return _accepted(self.model, self.checks, strict=strict)
+
+    @property
+    def of(self) -> str:
+        """What was compensated, and from which readings, for the head of a file."""
+        unit = self.source.bench.unit_under_test
+        of = f"{unit.type} {unit.serial}".strip() + f", from {', '.join(self.names)}"
+        of += f", made at {self.source.made_at}" if self.source.made_at else ""
+        of += " (simulated instruments)" if self.result.simulated else ""
+        return of if self.result.accepted else f"{of}: NOT ACCEPTED, as the fit or a verification failed"
 
     def files(self) -> Iterator[tuple[str, Path, str]]:
         """Yield description, path and text of each file to write."""
-        unit = self.source.bench.unit_under_test
-        of = f"{unit.type} {unit.serial}".strip() + f", from {self.source.name}"
-        of += " (simulated instruments)" if self.source.simulated else ""
         yield "result", self.source.output("compensate", ".json"), to_text(self.result.to_dict())
-        yield "C header", self.source.output("compensate", ".h"), c_header(self.model, self.table, of)
-        yield "table", self.source.output("compensate", ".csv"), table_csv(self.model, self.table, of)
+        yield "C header", self.source.output("compensate", ".h"), c_header(self.model, self.table, self.of)
+        yield "table", self.source.output("compensate", ".csv"), table_csv(self.model, self.table, self.of)
+
+
+def _accepted(
+    model: TemperatureModel, checks: Iterable[tuple[float, Verification]], *, strict: bool = False
+) -> bool:
+    tests = [model.fitted, *([model.curve] if model.curve else [])]
+    return all(check.passed for _, check in checks) and all(test.accepted(strict=strict) for test in tests)
 
 
 def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
@@ -154,6 +166,9 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
         bench=first.taken.part(),
         corrections=[part for source in loaded for part in source.traced.parts()],
         simulated=any(source.simulated for source in loaded),
+        accepted=_accepted(combined, checks),
+        made_at=first.made_at,
+        unit_under_test=first.made_from()["unit_under_test"],
     )
     return Compensation(first, names, combined, table, checks, result)
 

@@ -340,12 +340,16 @@ int main(void)
 
 @pytest.fixture(scope="module")
 def compiled(model, table, tmp_path_factory):
+    return _compiled(tmp_path_factory.mktemp("c"), c_header(model, table, "block */ 1\\\n#error"), MAIN)
+
+
+def _compiled(folder, header, main):
+    """Return a function of temperatures and signals that runs a C program with the header."""
     compiler = shutil.which("gcc")
     if compiler is None:
         pytest.skip("no gcc here to compile the header with")
-    folder = tmp_path_factory.mktemp("c")
-    (folder / "compensation.h").write_text(c_header(model, table, "block */ 1\\\n#error"))
-    (folder / "main.c").write_text(MAIN)
+    (folder / "compensation.h").write_text(header)
+    (folder / "main.c").write_text(main)
     strict = ["-std=c99", "-Wall", "-Wextra", "-Wpedantic", "-Werror", "-O1"]
     subprocess.run([compiler, *strict, "-o", folder / "main", folder / "main.c"], check=True)  # noqa: S603
 
@@ -388,6 +392,50 @@ def test_what_is_exported_tests_itself_with_temperature(model, table, tmp_path):
         changed = with_a_digit_changed(made, re.search(first, made).end())
         (tmp_path / name).write_text(changed)
         assert own_test(tmp_path / name) != 0
+
+
+DOUBLE = """#include <stdio.h>
+#include "compensation.h"
+int main(void)
+{
+    double u[3], t, a[3];
+    while (scanf("%lf %lf %lf %lf", &t, &u[0], &u[1], &u[2]) == 4) {
+        int status;
+        a[0] = a[1] = a[2] = -1.0;
+        status = compensation_specific_force_double(u, t, a);
+        printf("%d %.9g %.9g %.9g\\n", status, a[0], a[1], a[2]);
+    }
+    return 0;
+}
+"""
+
+
+def test_in_double_precision_no_temperature_outside_is_extrapolated(model, table, tmp_path):
+    """The nearest end is used, and the status says so, as in single precision; 1e9 K read beyond the table."""
+    run = _compiled(tmp_path, c_header(model, table, "block 1"), DOUBLE)
+    t = [model.maximum_c + 20.0, model.minimum_c - 5.0, 1e9, np.nan, model.maximum_c, model.minimum_c]
+    ends = [model.maximum_c, model.minimum_c, model.maximum_c, np.nan, model.maximum_c, model.minimum_c]
+    up = np.array([[0.0, 0.0, 1.0]])
+    signal = np.vstack([model.block(model.minimum_c if np.isnan(end) else end).output(up) for end in ends])
+    status, found = run(t, signal)
+    assert status.tolist() == [1, 1, 1, -1, 0, 0]
+    assert found[:3] == pytest.approx(np.vstack([up] * 3), abs=1e-6)
+    assert found[3].tolist() == [-1.0, -1.0, -1.0]
+
+
+def test_the_errors_that_u_of_a_table_leaves_out_are_stated(model, table):
+    """1 K of error in the temperature: the difference quotient of a along 200 directions (seed 6)."""
+    a = np.random.default_rng(6).normal(size=(200, 3))
+    a /= np.linalg.norm(a, axis=1)[:, None]
+    moved = []
+    for t in np.linspace(model.minimum_c, model.maximum_c - 1e-4, 40):
+        block = model.block(t + 1e-4)
+        signal = model.block(t).output(a)
+        moved.append(np.linalg.norm((signal - block.U0) @ np.linalg.inv(block.K).T - a, axis=1).max() / 1e-4)
+    assert 0.7 * model.per_kelvin_g < max(moved) < 1.01 * model.per_kelvin_g
+    head = table_csv(model, table, "block 1")
+    assert f"by up to {model.per_kelvin_g:.2g} g" in " ".join(head.split())
+    assert repr(model.g_m_s2) in head
 
 
 def test_the_header_tells_a_temperature_outside_and_one_that_is_none(compiled, model):

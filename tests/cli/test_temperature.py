@@ -1,6 +1,7 @@
 """`bench compensate` and the note of `bench calibrate` that leads to it; `bench tumble` of turns."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -46,6 +47,32 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
     written = sorted(path.name for path in (tmp_path / "compensate").iterdir())
     assert written == ["warm.csv", "warm.h", "warm.json"]
     assert json.loads((tmp_path / "compensate" / "warm.json").read_text()) == result
+    assert "u of a at 1 g: at most" in out
+    _is_enough_for_u_at_a_temperature(
+        result, float(re.search(r"at most (\S+) g at 1 g", _header(tmp_path))[1])
+    )
+
+
+def _header(folder):
+    return " ".join((folder / "compensate" / "warm.h").read_text().replace("*", "").split())
+
+
+def _is_enough_for_u_at_a_temperature(result, largest):
+    """From the JSON alone, as `uncertainty` says: the covariance at T. The header states the largest u of a."""
+    assert result["accepted"]
+    assert "local g" in result["equation"]
+    C, H = np.array(result["covariance"]), np.array(result["hysteresis"]["covariance"])
+    value = np.array([[t["value"] for t in result["coefficients"][n]["terms"]] for n in COEFFICIENTS])
+    found = []
+    for at in np.linspace(*result["valid_c"], 9):
+        powers = (at - result["reference_c"]) ** np.arange(value.shape[1])
+        J = np.kron(np.eye(12), powers)
+        own = J @ C @ J.T + H
+        N = np.linalg.inv((value @ powers)[:9].reshape(3, 3))
+        for a in np.vstack([np.eye(3), -np.eye(3)]):
+            by = -N @ np.hstack([np.kron(np.eye(3), a), np.eye(3)])
+            found.append(np.sqrt(np.diag(by @ own @ by.T)).max())
+    assert max(found) == pytest.approx(largest, rel=0.06)
 
 
 @pytest.mark.slow
