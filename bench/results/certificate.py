@@ -238,8 +238,8 @@ def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
     at = result.get("holds_at_c", own)
     mark, where = "SIMULATED: " if result.get("simulated") else "", "at an unknown temperature"
     out.print(
-        f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², +1 g "
-        f"on an upward axis), U in {result['unit']}, block {where if at is None else f'at {at:.1f} °C'}"
+        f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
+        f"+1 g on an upward axis), U in {result['unit']}, block {where if at is None else f'at {at:.1f} °C'}"
     )
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
