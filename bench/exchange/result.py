@@ -27,7 +27,10 @@ from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
-NINE = "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i / S_i: free of the mounting"
+NINE = (
+    "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i / S_i: free of the mounting; b_i has "
+    "the sign of the signal: where K_ii < 0, the bias of a is -b_i"
+)
 COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
 OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -20,7 +20,14 @@ from bench.calibration.intrinsic import intrinsic_of
 from bench.calibration.result import COVERAGE_FACTOR, NOT_DETERMINED, Calibration, Component, Triangular
 from bench.model.geometry import COEFFICIENTS
 from bench.results import parts
-from bench.results.parts import IntrinsicPart, JointPart, intrinsic_table, joint_in_words, joint_members
+from bench.results.parts import (
+    IntrinsicPart,
+    JointPart,
+    intrinsic_table,
+    joint_in_words,
+    joint_members,
+    sign_in_words,
+)
 
 
 class ValueMs2Part(ResultModel):
@@ -183,6 +190,7 @@ class CalibrateResult(ResultModel):
     unit: str = Field(description="unit of the signals")
     g_m_s2: float = Field(description="local gravity, m/s²")
     per: str = Field(description="unit of acceleration of the coefficients: local g")
+    equation: str = Field(default="", description="what the coefficients and their units mean, in a sentence")
     coefficients: dict[str, parts.CoefficientPart]
     """the twelve coefficients `Kxx`, `Kxy`, … `Kzz`, `U0x`, `U0y`, `U0z`, in unit/g and unit"""
     coefficients_per_ms2: PerMs2Part
@@ -244,11 +252,19 @@ class CalibrateResult(ResultModel):
     skipped_rows: list[str] = Field(description="invalid rows that were skipped, each with the reason")
 
 
+EQUATION: Final = (
+    "U = K a + U0: rows of K are channels, columns axes of the block, x, y, z, right-handed; a is the specific "
+    "force in local g (g_m_s2), +1 on an axis that points up; K in {unit}/g, U0 in {unit}; u: standard uncertainty "
+    "(k = 1) with the errors of the readings, the stand and `sources`, as in `covariance`; U = k u"
+)
+
+
 def calibrate_result(found: Calibration, **made_from: Any) -> CalibrateResult:
     """Return a calibration's result; `made_from` has `temperature_effects` and fields from `source` on."""
     return CalibrateResult.from_object(
         found,
         per="g",
+        equation=EQUATION.format(unit=found.unit),
         coefficients=parts.by_coefficient(
             parts.CoefficientPart,
             value=found.block.vector,
@@ -398,6 +414,8 @@ def print_calibration(name: str, found: Calibration, notes: Sequence[str], out: 
     if own is not None:
         out.print(intrinsic_table(own))
         out.print(own.mounting)
+        if sign := sign_in_words(found):
+            out.print(sign)
     out.print(joint_in_words(found, own))
     if found.sources:
         out.print(sources_table(found))

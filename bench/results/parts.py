@@ -237,7 +237,8 @@ class IntrinsicValuePart(CoefficientPart):
 class IntrinsicPart(ResultModel):
     """The nine numbers that do not depend on the mounting: sensitivities, angles between the sensing axes, offsets.
 
-    S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i.
+    S_i = ‖row i of K‖, cos θ_ij = row_i·row_j/(S_i S_j), b_i = U0_i/S_i. b_i has the sign of the signal: where K_ii
+    is negative, the bias of a, K0 of `bench tumble`, is −b_i.
     """
 
     values: dict[str, IntrinsicValuePart]
@@ -318,6 +319,15 @@ def intrinsic_table(own: Intrinsic) -> Table:
     for name, value, unit, of_readings, u, U, small in shown_rows(own):
         shown.add_row(name, value, unit, u, U, of_readings, small)
     return shown
+
+
+def sign_in_words(found: Calibration) -> str:
+    """Return a sentence on the sign of b in channels with a negative scale factor; empty if there are none."""
+    negative = [channel for channel, own in zip(CHANNELS, np.diag(found.block.K), strict=True) if own < 0]
+    where = ", ".join(negative)
+    return where and message(
+        f"b has the sign of the signal: where the scale factor is negative ({where}), the bias of a is −b"
+    )
 
 
 def joint_in_words(found: Calibration, own: Intrinsic | None) -> str:

@@ -251,3 +251,16 @@ def test_a_calibration_states_the_temperature_at_which_its_coefficients_hold(
     assert result["holds_at_c"] == pytest.approx(holds, abs=0.5 if holds > 20 else 0)
     assert result["temperature_effects"] == ([effect] if named else [])
     assert any(f"hold at 20 °C, the reference of {effect}" in note for note in result["notes"]) == named
+
+
+def test_the_offset_of_an_axis_with_a_negative_scale_factor_is_not_taken_for_its_bias(bench):
+    """b is U0/S, of the sign of the signal; the bias K0 that `bench tumble` states has the sign of a."""
+    shutil.copy(RECORDS / "readings.csv", "r.csv")
+    out = printed(bench("calibrate", "r.csv", "--json", "a.json"), "negative (x, y, z), the bias of a is −b")
+    result = json.loads(Path("a.json").read_text(encoding="utf-8"))
+    assert "U in V" in out
+    assert "+1 on an axis that points up; K in V/g, U0 in V" in result["equation"]
+    assert bench("tumble", "r.csv", "--terms", "K2", "--json", "t.json")[0] == 0
+    K0 = json.loads(Path("t.json").read_text(encoding="utf-8"))["axes"]["x"]["quantities"]["K0"]["value"]
+    bx = result["intrinsic"]["values"]["bx"]["value"]
+    assert pytest.approx(-bx, rel=0.01) == K0

@@ -375,7 +375,8 @@ def _results(certificate: Certificate, found: RunFindings, prefix: str) -> Itera
         ("misalignments", found.misalignments),
         ("intrinsic", found.intrinsic),
     ):
-        yield _result(texts, key.removesuffix("_si"), key, prefix, _listed(values, certificate))
+        listed, about = _listed(values, certificate), said(texts, f"{key}_text")
+        yield _result(texts, key.removesuffix("_si"), key, prefix, listed, about)
     if found.verification is not None:
         yield _result(texts, "delta_g", "delta_g", prefix, _checked(texts, found.verification))
     yield _result(texts, "readings", "readings", prefix, _table(texts, found.result.source.as_read))
@@ -384,10 +385,14 @@ def _results(certificate: Certificate, found: RunFindings, prefix: str) -> Itera
         yield _result(texts, "results", "file", prefix, byte_data(result))
 
 
-def _result(texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node) -> Node:
+def _result(
+    texts: Sequence[Texts], name: str, ref: str, prefix: str, data: Node, about: Iterable[Node] = ()
+) -> Node:
+    described = tuple(about)
     return node(
         "dcc:result",
         node("dcc:name", *said(texts, name)),
+        node("dcc:description", *described) if described else None,
         node("dcc:data", data),
         id=f"{prefix}{ref}",
         refType=f"bench_{ref}",

@@ -197,7 +197,7 @@ def coefficients_in(
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Return the result in a block's DCC, in the form of `bench calibrate --json`, and notes for the user.
 
-    `g_m_s2` is the local gravity (m/s²) to which K shall refer, and `noise` the standard deviation of a
+    `g_m_s2` is the local gravity (m/s²) of its laboratory, and `noise` the standard deviation of a
     reading, such as "50 uV". Both are needed only if another program made the certificate. Raises `Refused`
     if the DCC has no list of the coefficients, or several.
     """
@@ -285,7 +285,7 @@ def _others(
     `order` has the index in `listed` of each coefficient. Raises `Refused` if gravity or noise are not given, or if
     the units or uncertainties in the list do not suffice.
     """
-    wanting = [] if g_m_s2 is not None else ["--g, the local gravity for which K is to be stated (m/s²)"]
+    wanting = [] if g_m_s2 is not None else ["--g, the local gravity of its laboratory (m/s²)"]
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
         raise Refused(
@@ -303,6 +303,8 @@ def _others(
     if kinds == {_VOLT_PER_MS2}:
         scale[:9] = g_m_s2
         notes += (f"K was stated per m/s²: taken to local g = {g_m_s2:g} m/s²",)
+    else:
+        notes += (f"K is in V: taken as per local g of its laboratory, {g_m_s2:g} m/s²",)
     values = listed.values[list(order)] * scale
     covariance = listed.covariance
     if covariance is None:

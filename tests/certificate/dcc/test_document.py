@@ -68,6 +68,24 @@ def test_coefficients_and_their_covariance_come_back_to_the_bit(root, issued_cer
         assert [one.U for one in values.values] == U
 
 
+@pytest.mark.parametrize(
+    ("ref", "says"),
+    [
+        ("coefficients", "in local g, +1 on an axis that points up. K is per local g"),
+        ("coefficients_si", "for a in m/s²"),
+        ("inverse", "a = N (U − U₀) in local g"),
+        ("misalignments", "K_ij = −K_ii α_ji for ij = xz, yx, zy"),
+        ("intrinsic", "the bias of a is −b"),
+    ],
+)
+def test_each_list_of_numbers_is_defined(root, issued_certificate, ref, says):
+    """K in volts alone does not show that it is per local g; nor does the pdf show the sign of an angle."""
+    assert says in of_result(root, ref, "dcc:description/dcc:content")
+    blocks = proof.pages(Writer(issued_certificate), [])
+    words = " ".join(" ".join(block["words"]) for block in blocks if block["kind"] == "words")
+    assert says in words or ref.startswith("coefficients")
+
+
 def test_every_entry_of_the_covariance_has_its_unit(root):
     columns = root.findall(
         ".//dcc:result[@refType='bench_coefficients_si']//si:covarianceXMLList/si:unitXMLList", NAMESPACES

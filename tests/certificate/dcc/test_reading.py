@@ -103,8 +103,12 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
     named = [NAMES[i].replace("K", "K_") for i in scattered]
     Path("x.xml").write_text(HEAD.format(real_list(named, [VALUES[i] for i in scattered], unit)))
     refused(bench("certificate", "read", "x.xml", "--out", "c.json"), "give --g", "--noise")
-    status, _, err = bench("certificate", "read", "x.xml", "--out", "c.json", "--g", 9.81, "--noise", "50 uV")
+    status, out, err = bench(
+        "certificate", "read", "x.xml", "--out", "c.json", "--g", 9.81, "--noise", "50 uV"
+    )
     assert (status, "assumed uncorrelated" in err) == (0, True)
+    assert ("taken as per local g of its laboratory, 9.81 m/s²" in err) == (scale == 1.0)
+    assert "local g (9.81 m/s², +1 g on an upward axis), U in V, block at an unknown temperature" in out
     taken = coefficients_of(json.loads(Path("c.json").read_text()), "it")
     scales = np.array([scale] * 9 + [1.0] * 3)
     assert np.allclose(taken.block.vector, np.array(VALUES) * scales, rtol=1e-14)
