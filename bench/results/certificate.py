@@ -236,10 +236,11 @@ def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
     """Print the coefficients in `result`, the parsed JSON of `bench calibrate --json`, and what they mean."""
     own = None if result.get("temperature_effects") else result.get("temperature_c")
     at = result.get("holds_at_c", own)
-    mark, where = "SIMULATED: " if result.get("simulated") else "", "at an unknown temperature"
+    mark = "SIMULATED: " if result.get("simulated") else ""
+    where = "at an unknown temperature" if at is None else f"at {at:.1f} °C"
     out.print(
         f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
-        f"+1 g on an upward axis), U in {result['unit']}, block {where if at is None else f'at {at:.1f} °C'}"
+        f"+1 g on an upward axis), U in {result['unit']}, block {where}"
     )
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
