@@ -322,8 +322,10 @@ def _truths(rng: np.random.Generator, row: Row, run: Run, index: int) -> list[Tr
             return [first, _next(rng, row, run, seen, others, int(rng.integers(len(others))))]
         case "outside":
             return [_scaled(rng, row, run, seen, OUTSIDE[list(OUTSIDE)[index % len(OUTSIDE)]])]
-        case kind:
+        case kind if kind in ALONE:
             return [_scaled(rng, row, run, seen, ALONE[kind])]
+        case _:
+            raise ValueError(f"No such kind of case: {row.kind}.")
 
 
 def _of_the_supply(rng: np.random.Generator, row: Row, run: Run, above_v: Floats) -> Truth:

@@ -7,10 +7,10 @@ block. It agrees with the paper's equations (3) and (4) to second order in the a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -123,42 +123,40 @@ class Design:
     input_checks: bool = False
 
 
-def _passes(label: str, *passes: dict[str, Any]) -> tuple[Sweep, ...]:
-    """Return the sweeps of a mounting: whole turns with the head rising, but for what each pass states."""
-    return tuple(Sweep(label, number, **stated) for number, stated in enumerate(passes, start=1))
+def _at(label: str, sweeps: Sequence[Sweep]) -> tuple[Sweep, ...]:
+    """Return the sweeps in another installation."""
+    return tuple(replace(sweep, label=label) for sweep in sweeps)
 
 
-_VERIFICATION: Final = _passes("V", {"angles": (45, 135, 225, 315)})
-_RISING: Final[list[dict[str, Any]]] = [{}] * 3
-_BOTH_WAYS: Final[list[dict[str, Any]]] = [{}, {"direction": -1}, {}]
-_SCAN_REVERSED: Final[list[dict[str, Any]]] = [{}, {"direction": -1, "scan": "zyx"}]
-_BY_TWELFTHS: Final = [{"angles": TWELFTHS}] * 3
-_IN_OVEN: Final = [{"angles": TWELFTHS, "warmer_k": k} for k in (0.0, 20.0, -20.0)]
-
-
-def _design(
-    each: list[dict[str, Any]], *, turned: bool = False, verified: bool = True, **more: Any
-) -> Design:
-    """Return a design with installations 1 and 2; with `turned`, each is repeated after a turn by 180°."""
+def _design(sweeps: Sequence[Sweep], *, turned: bool = False, input_checks: bool = False) -> Design:
+    """Return a design with the sweeps in installations 1 and 2, each repeated once by 180° if `turned`."""
     mountings = []
     for label in "12":
-        mountings += [_passes(label, *each), *([_passes(f"{label}T180", {})] if turned else [])]
-    return Design((*mountings, *([_VERIFICATION] if verified else [])), **more)
+        mountings += [_at(label, sweeps), *([(Sweep(f"{label}T180", 1),)] if turned else [])]
+    return Design((*mountings, _VERIFICATION), input_checks)
 
 
+_VERIFICATION: Final = (Sweep("V", 1, (45, 135, 225, 315)),)
+_RISING: Final = tuple(Sweep("1", number) for number in (1, 2, 3))
+_OVEN_K: Final = ((1, 0.0), (2, 20.0), (3, -20.0))
 DESIGNS: Final[dict[str, Design]] = {
     "paper": _design(_RISING),
-    "both": _design(_BOTH_WAYS),
-    "turn-12": _design(_BY_TWELFTHS),
-    "return": Design((_passes("1", *_RISING), _passes("2", *_RISING), _passes("1", {"series": 2}), _VERIFICATION)),
+    "both": _design([Sweep("1", 1), Sweep("1", 2, direction=-1), Sweep("1", 3)]),
+    "turn-12": _design([replace(sweep, angles=TWELFTHS) for sweep in _RISING]),
+    "return": Design((_RISING, _at("2", _RISING), (Sweep("1", 1, series=2),), _VERIFICATION)),
     "remount-180": _design(_RISING[:2], turned=True),
-    "reordered": _design(_SCAN_REVERSED, turned=True, input_checks=True),
-    "six": Design((
-        _passes("1", *[{"angles": (0, 90, 180, 270)}] * 3), _passes("2", *[{"angles": (0, 180)}] * 3)
-    )),
-    "unverified": _design(_RISING, verified=False),
-    "oven": _design(_IN_OVEN),
-}  # fmt: skip
+    "reordered": _design(
+        [Sweep("1", 1), Sweep("1", 2, direction=-1, scan="zyx")], turned=True, input_checks=True
+    ),
+    "six": Design(
+        (
+            tuple(replace(sweep, angles=(0, 90, 180, 270)) for sweep in _RISING),
+            tuple(replace(sweep, angles=(0, 180)) for sweep in _at("2", _RISING)),
+        )
+    ),
+    "unverified": Design((_RISING, _at("2", _RISING))),
+    "oven": _design([Sweep("1", number, TWELFTHS, warmer_k=k) for number, k in _OVEN_K]),
+}
 """Designs by name.
 
 `reordered` has both directions, the scan order reversed once, rows S and R in each pass, and a third pass turned
