@@ -15,16 +15,13 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.base.languages import message
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
-from bench.diagnosis.levels import FAR, ONE_DIRECTION
+from bench.diagnosis.levels import FAR, MARK_DEG, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
-
-LEAST_APART: Final = 0.05
-"""Directions determine an orientation if their second singular value, per point, is at least this."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,8 @@ def orientation_of(
     platform = specific_force_on_platform(readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES))))
     seen = force[rows] / np.linalg.norm(force[rows], axis=1, keepdims=True)
     left, sizes, right = np.linalg.svd(seen.T @ platform)
-    if sizes[1] < LEAST_APART * len(rows):
-        return None
+    if sizes[1] < np.sin(np.radians(MARK_DEG)) ** 2 * len(rows):
+        return None  # all points are, in the mean, within a mark of one line, about which the block may be turned
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_DIRECTION:
         return None

@@ -256,15 +256,12 @@ class KnownTogether:
     unit: str
 
 
-FAR_BETTER: Final = 0.25
-"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
-
-
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
     """Return the sums and differences of two values of `variant` that are far better known than either value.
 
+    The u of either value is at least `CLEARLY_LARGER` squared times that of the sum or difference.
     `value` (p,) and `covariance` (p, p) are in plausible sizes. Example: third mounting angles of two
     installations, whose difference is a rotation of the axes.
     """
@@ -276,7 +273,7 @@ def known_together(
             continue
         sign = -1.0 if covariance[i, j] > 0.0 else 1.0
         u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
-        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
+        if CLEARLY_LARGER**2 * u > np.sqrt(min(covariance[i, i], covariance[j, j])):
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit
