@@ -16,7 +16,7 @@ from bench.calibration.design import UPPER, make_problem
 from bench.calibration.free import effects_without_data, first_guess_free
 from bench.calibration.result import CalibrationError
 from bench.diagnosis.candidates import Candidates
-from bench.diagnosis.levels import MOSTLY, STEPS
+from bench.diagnosis.levels import CLEARLY_LARGER, MOSTLY, STEPS
 from bench.diagnosis.linear import MODULUS, LinearSystem, Rows, View, own_column
 from bench.diagnosis.mistakes.gross import ERRORS_G
 from bench.diagnosis.multi_run_system import OTHER_BLOCK
@@ -32,13 +32,6 @@ from bench.stats.repeats import Repeats, compare_repeats
 
 SAME_TIME_S: Final = 1.0
 """Two tables whose times agree within this, s, belong to sensors measured side by side."""
-ANOTHER: Final = 2.0
-"""Least distance between the coefficients of two different sensors.
-
-The unit is the largest change of one block between runs (`OTHER_BLOCK`).
-
-In nine records of each of four real sensors, records of one sensor differ by at most 1.0, of two by at least 2.2.
-"""
 OWN: Final = len(UPPER)
 ZEROS: Final = (6, 7, 8)
 SCALES: Final = (0, 3, 5)
@@ -279,7 +272,7 @@ def _sensors(tables: Sequence[Readings], records: Sequence[int], one_sensor: boo
         # assign all tables of a record at once: each is of a different sensor
         for row, column in zip(*linear_sum_assignment(far), strict=True):
             number = int(column)
-            if far[row, column] > ANOTHER and len(groups[0]) == 1:
+            if far[row, column] > CLEARLY_LARGER and len(groups[0]) == 1:
                 known.append([])
                 number = len(known) - 1
             known[number].append(group[row])

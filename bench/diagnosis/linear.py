@@ -15,16 +15,13 @@ from bench.base.arrays import Floats, Ints, Mask
 from bench.base.languages import message
 from bench.calibration.calibrate import first_guess
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
-from bench.diagnosis.levels import FAR, ONE_DIRECTION
+from bench.diagnosis.levels import FAR, MARK_DEG, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
 from bench.model.effects.base import Seen, rows_of
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
-
-LEAST_APART: Final = 0.05
-"""Directions determine an orientation if their second singular value, per point, is at least this."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +69,8 @@ def orientation_of(
     platform = specific_force_on_platform(readings.angle_rad[rows], np.zeros((len(rows), len(STAND_ANGLES))))
     seen = force[rows] / np.linalg.norm(force[rows], axis=1, keepdims=True)
     left, sizes, right = np.linalg.svd(seen.T @ platform)
-    if sizes[1] < LEAST_APART * len(rows):
-        return None
+    if sizes[1] < np.sin(np.radians(MARK_DEG)) ** 2 * len(rows):
+        return None  # all points are, in the mean, within a mark of one line, about which the block may be turned
     turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
     if np.sqrt(np.mean(np.sum((seen - platform @ turn.T) ** 2, axis=1))) > ONE_DIRECTION:
         return None
@@ -246,10 +243,6 @@ class LinearSystem:
     def rows_in(self, mounts: Sequence[str]) -> Mask:
         """Return the mask (N,) of the rows that belong to the mountings or passes with these labels."""
         return rows_of(mounts, self.conditions)[self.rows.reading]
-
-    def rows_of(self, change: Floats) -> Floats:
-        """Return the change of the N rows, shape (N,), that a change of the signals (n, 3) causes."""
-        return self.view.rows_of(change)
 
     @cached_property
     def _still(self) -> Stages:
@@ -427,8 +420,6 @@ def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
 
     The gradients are by the signals. The step is the change of the signals, along the gradient, for 1 g of |a|.
     """
-    if not len(signal):
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     force = block.specific_force(signal)
     by_signal = _unit(force) @ np.linalg.inv(block.K)
     size = np.linalg.norm(by_signal, axis=1)
@@ -436,7 +427,7 @@ def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _references(readings: Readings) -> tuple[Floats, Ints]:
@@ -475,7 +466,7 @@ def _columns(
     jacobian = np.concatenate([jacobian[:, :, :FIXED], problem.by_prior(jacobian[:, :, FIXED:])], axis=2)
     whole = np.zeros((len(label), 3, jacobian.shape[2]))
     whole[view.settings] = jacobian
-    whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0
+    whole[view.moduli, :, :FIXED] = coefficient_columns(unit)
     beyond = np.concatenate([view.moduli, view.inputs])
     for j in range(len(problem.stand), len(problem.prior_u)):
         whole[beyond, :, FIXED + j] = own_column(problem, block, view, j)[beyond]

@@ -113,9 +113,6 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
     normal, right = _normal(linear, columns, noise)
-    if not extra:
-        covariance = _inverse(normal)
-        return Posterior(covariance @ right, covariance, 0)
     rest = len(normal) - extra
     free = _inverse(normal[:rest, :rest])
     gain = free @ normal[:rest, rest:]
@@ -262,15 +259,12 @@ class KnownTogether:
     unit: str
 
 
-FAR_BETTER: Final = 0.25
-"""A sum or difference of two values is stated if its u is at most this fraction of either's u."""
-
-
 def known_together(
     candidates: Candidates, variant: Variant, value: Floats, covariance: Floats
 ) -> tuple[KnownTogether, ...]:
     """Return the sums and differences of two values of `variant` that are far better known than either value.
 
+    The u of either value is at least `CLEARLY_LARGER` squared times that of the sum or difference.
     `value` (p,) and `covariance` (p, p) are in plausible sizes. Example: third mounting angles of two
     installations, whose difference is a rotation of the axes.
     """
@@ -282,7 +276,7 @@ def known_together(
             continue
         sign = -1.0 if covariance[i, j] > 0.0 else 1.0
         u = np.sqrt(max(covariance[i, i] + covariance[j, j] + 2.0 * sign * covariance[i, j], 0.0))
-        if u > FAR_BETTER * np.sqrt(min(covariance[i, i], covariance[j, j])):
+        if CLEARLY_LARGER**2 * u > np.sqrt(min(covariance[i, i], covariance[j, j])):
             continue
         parameter = parameters[kinds[i].parameter]
         size = candidates.scale[variant.columns[i]] / parameter.si_per_unit

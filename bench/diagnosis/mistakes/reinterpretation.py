@@ -18,13 +18,10 @@ import numpy as np
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints, Labels, Mask
 from bench.base.languages import message
 from bench.calibration.mistakes import PREFIX, PREFIXES, in_another_unit
-from bench.diagnosis.levels import MOSTLY, ONE_DIRECTION
+from bench.diagnosis.levels import CLEARLY_LARGER, MARK_DEG, MOSTLY, ONE_DIRECTION
 from bench.model import Mounting
 from bench.readings.corrected import EXCHANGED, REVERSED, RIGHT, MistakeName
 from bench.readings.table import REFERENCE, SHORTED, VERIFICATION, Readings
-
-LEAST_STOP_DEG: Final = 15.0
-"""Least interval of stops, deg, of which several may be miscounted; with narrow ones any angle would do."""
 
 
 @dataclass(frozen=True)
@@ -351,10 +348,13 @@ def _shifted(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
 
 
 def _turned_head(table: OrientedRows, scope: Scope) -> Iterator[Reinterpretation]:
-    """Yield suppositions that the head stood quarter turns, or several wide stops, from where it says."""
+    """Yield suppositions that the head stood quarter turns, or several wide stops, from where it says.
+
+    Wide stops are clearly farther apart than the marks of the head; with narrow ones any angle would do.
+    """
     stops, offs_deg = _stop_rad(table, scope.mask), {90.0, -90.0, 180.0}
     stop_deg = 0.0 if stops is None else round(float(np.degrees(np.max(np.abs(stops[scope.mask])))), 6)
-    if stop_deg >= LEAST_STOP_DEG:
+    if stop_deg > CLEARLY_LARGER * MARK_DEG:
         several = np.round(np.arange(2.0, 180.0 / stop_deg) * stop_deg, 5).tolist()
         offs_deg |= {sign * off for off in several for sign in (1.0, -1.0)}
         offs_deg -= {stop_deg, -stop_deg}  # `_shifted` has these
