@@ -499,7 +499,7 @@ class _Runs:
         if len(runs) < least_runs("scaled", size) or len({(run.design, run.place) for run in runs}) > 1:
             return None
         noise = np.sqrt(np.mean([run.noise**2 for run in runs], axis=0))
-        return components_of(self.values(runs), self.covariances(runs)[0], noise)
+        return components_of(self.values(runs), self.covariances(runs)[0], noise, self.stated())
 
     def drift_seen(self, centre: Centre, shewhart: JudgedDeviations) -> DriftSeen | None:
         """Return the drift of the baseline and accepted runs in excess of the known drift.

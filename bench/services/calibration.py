@@ -22,7 +22,7 @@ from bench.calibration.estimators import CLOSED_FORM, GLS
 from bench.calibration.intrinsic import Intrinsic, intrinsic_of
 from bench.calibration.mistakes import implausible, refuse_mixed_units, sheet_of
 from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationError
-from bench.calibration.temperature import separate_temperatures
+from bench.calibration.temperature import PLATEAU_K, separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.model.conditions import REFERENCE_C
 from bench.model.effects import with_temperature
@@ -52,6 +52,9 @@ if TYPE_CHECKING:
     from bench.services.verification import VerdictOptions, VerificationResult
 
 SEVERAL_TEMPERATURES: Final = 3
+"""From this number on, plateaus are separate temperatures; two may be a drift across one limit of a plateau."""
+APART_K: Final = 2 * PLATEAU_K
+"""Mean temperatures of two plateaus that differ by more than this are of no such drift."""
 
 
 def read_prior(path: Path) -> Prior:
@@ -433,9 +436,9 @@ def calibrated(request: Calibrate, source: Source) -> CalibrationResult | Record
 
 
 def _with_note_on_temperatures(source: Source) -> Source:
-    """Return the source, with a note if its readings are at three or more temperatures, which a fit mixes."""
+    """Return the source, with a note if its readings are at several temperatures, which a fit mixes."""
     found = separate_temperatures(source.readings)
-    if len(found) < SEVERAL_TEMPERATURES:
+    if not found or (len(found) < SEVERAL_TEMPERATURES and found[-1] - found[0] <= APART_K):
         return source
     note = (
         f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients "

@@ -26,6 +26,7 @@ from bench.config.bench_file.sections import LEAST_ARL, LEAST_SMOOTHING, MOST_AR
 from bench.history.control_chart import CheckRun, ControlChart, KnownDrift, Reference, control_chart
 from bench.history.measured import of_gravity, to_gravity
 from bench.model.geometry import COEFFICIENTS
+from bench.readings.table import Readings
 from bench.results.control_chart import CheckBlockChart
 from bench.run.events import MANIFEST, RecordError, RunState, UnitUnderTest, sha256
 from bench.run.folder import BENCH, Run, all_runs, find_run
@@ -39,7 +40,7 @@ from bench.services.requests.shared import Bench, runs_folder
 from bench.services.source import Request, load_sources
 from bench.stats.control_charts import BASES, DEFAULT_ARL, Basis, ChartDesign, least_runs, shewhart_arl
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Version of the cached values. Increment it when their form or the calibration behind them changes."""
 
 
@@ -141,7 +142,7 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
         unit=found.unit,
         g_m_s2=found.g_m_s2,
         simulated=run.simulated,
-        design=str(run.manifest.get("plan_hash", "")),
+        design=f"{run.manifest.get('plan_hash', '')} {_measured(found.fitted)}",
         meters=result.source.meters,
         value=found.block.vector,
         readings=found.covariance_readings,
@@ -152,6 +153,12 @@ def _of(run: Run, result: CalibrationResult) -> CheckValues:
         s_dof=found.noise.reading_dof if np.isfinite(found.noise.reading_dof) else 0.0,
         gravity_u=found.gravity_u,
     )
+
+
+def _measured(fitted: Readings) -> str:
+    """Return the hash of the readings at each point: of one plan, those of a run with skipped steps are fewer."""
+    at = zip(fitted.installation.tolist(), fitted.point.tolist(), fitted.direction.tolist(), strict=True)
+    return sha256(repr(sorted(at)).encode())
 
 
 def _from_json(data: dict[str, Any]) -> CheckValues:

@@ -190,6 +190,12 @@ class StatedDof:
         """Return the degrees of freedom of a `share` of the runs."""
         return replace(self, dof=share * self.dof)
 
+    def above(self, ratio: Floats | float, dof: float) -> Floats:
+        """Return the p-values of variances with `dof`, as a `ratio` of the stated ones, if they are equal."""
+        if np.isinf(self.dof):
+            return np.asarray(special.chdtrc(dof, dof * ratio))
+        return np.asarray(special.fdtrc(dof, self.dof, self.widened * ratio))
+
 
 EXACT: Final = StatedDof()
 
@@ -425,10 +431,11 @@ class Components:
         return np.minimum(1.0, len(self.p) * self.p)
 
 
-def components_of(values: Floats, covariance: Floats, noise: Floats) -> Components:
+def components_of(values: Floats, covariance: Floats, noise: Floats, known: StatedDof = EXACT) -> Components:
     """Return the components of variability of a baseline (m, p) of more than one run.
 
-    Each run has the stated covariance `covariance` (p, p) and the noise `noise` (p,).
+    Each run has the stated covariance `covariance` (p, p) and the noise `noise` (p,); `known` are the degrees of
+    freedom behind this covariance.
     """
     runs, p = values.shape
     left = values - values.mean(axis=0)
@@ -441,14 +448,14 @@ def components_of(values: Floats, covariance: Floats, noise: Floats) -> Componen
     squares = ((left / stated) @ axes / np.sqrt(scale)) ** 2
     ratio = squares.sum(axis=0) / (runs - 1)
     total, dof = float(squares.sum()), p * (runs - 1)
-    upper = float(special.chdtrc(dof, total))
+    upper = float(known.above(total / dof, dof))
     return Components(
         runs=runs,
         noise=noise,
         stated=stated,
         scatter=scatter,
         f=f,
-        p=np.asarray(special.chdtrc(runs - 1, (runs - 1) * f)),
+        p=known.above(f, runs - 1),
         between=np.sqrt(excess),
         between_most=np.sqrt(np.maximum(0.0, largest - stated**2)),
         birge2=total / dof,

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,12 +14,14 @@ import bench as program
 from bench.config.bench_file.file import load_bench
 from bench.run.folder import Run
 from bench.services import check_block
+from bench.services.calibration import calibration_of
 from bench.services.check_before import check_before
 from bench.services.check_block import chart_of, check_block_runs
 from bench.services.conclusion import charted
 from bench.services.errors import Refused
 from bench.services.execution import new_run
 from bench.services.requests.measuring import RunRequest
+from bench.services.source import Request, load_sources
 from tests.support.check_runs import measured, write_bench
 from tests.support.commands import printed, refused
 from tests.support.schemas import keeps_to
@@ -238,6 +241,23 @@ def test_runs_of_two_places_get_a_note(there, monkeypatch):
     )
     places = {run.name: run.place for run in (*found.twelve.baseline, *found.twelve.later)}
     assert {name for name, place in places.items() if place == 9.83} == {"check-1"}
+
+
+def test_a_run_with_skipped_points_has_the_u_of_its_own_readings(there, monkeypatch):
+    runs = check_block_runs(there, Path("runs"), simulated=True)[:4]
+    whole = chart_of(runs, there.check_block).chart.shewhart.u[-1]
+    (source,) = load_sources(Request([str(runs[3].folder)], Path("runs")))
+    rows = source.readings
+    kept = rows.select((rows.installation != "2") | (rows.point % 2 == 1))
+    own, partial = (
+        check_block.check_values,
+        check_block._of(runs[3], calibration_of(replace(source, readings=kept))),
+    )
+    monkeypatch.setattr(
+        check_block, "check_values", lambda run: partial if run.name == "check-3" else own(run)
+    )
+    less = chart_of(runs, there.check_block).chart.shewhart.u[-1]
+    assert np.max(less / whole) > 1.15
 
 
 def test_from_python_it_is_the_same_chart(there):

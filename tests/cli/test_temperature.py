@@ -142,6 +142,9 @@ def test_calibrate_points_to_compensate_where_temperatures_are_mixed(bench, poly
     write_csv(three, tmp_path / "three.csv")
     told = "readings span 75 K at 3 temperatures, and these coefficients mix them; use 'bench compensate'"
     assert told in bench("calibrate", "three.csv")[1]
+    two = simulate(np.random.default_rng([SEED, 4]), polynomials, cycle=(20.0, 30.0), passes=2)
+    write_csv(two, tmp_path / "two.csv")
+    assert "readings span 10 K at 2 temperatures" in bench("calibrate", "two.csv")[1]
     one = simulate(np.random.default_rng([SEED, 3]), TRUTH[:, None], cycle=(23.0,))
     write_csv(one, tmp_path / "one.csv")
     assert "bench compensate" not in bench("calibrate", "one.csv")[1]

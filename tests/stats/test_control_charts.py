@@ -9,7 +9,9 @@ from scipy import stats
 from bench.calibration.result import CalibrationError
 from bench.stats.control_charts import (
     Centre,
+    StatedDof,
     centre_of,
+    components_of,
     ewma_arl,
     ewma_k,
     judge,
@@ -282,3 +284,13 @@ def test_of_one_dimension_the_multivariate_ewma_is_the_ewma():
 def test_without_memory_a_chart_is_shewharts():
     assert mewma_arl(1.0, 9.0, 1) == pytest.approx(shewhart_arl(3.0), rel=1e-9)
     assert ewma_arl(1.0, 3.0, 1.0) == shewhart_arl(3.0, 1.0)
+
+
+def test_a_baseline_of_good_runs_contradicts_the_u_of_a_noise_from_few_readings_by_chance_only():
+    """Thirty runs, whose noise has 22 degrees of freedom each, for which the stated covariance is widened."""
+    rng, count, runs, dof = np.random.default_rng(19), 500, 30, 22.0
+    known, below = StatedDof(runs * dof, dof / (dof - 2)), 0
+    for _ in range(count):
+        stated = np.mean(rng.chisquare(dof, runs)) / (dof - 2) * np.eye(9)
+        below += components_of(rng.normal(size=(runs, 9)), stated, np.ones(9), known).birge_p < 0.1
+    assert below == pytest.approx(0.1 * count, abs=4 * np.sqrt(0.09 * count))
