@@ -13,7 +13,7 @@ from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command
 from bench.services.errors import Refused, refusing
 from bench.services.requests.measuring import Budget, Check, Init, PlanPoints, Require
-from bench.services.requests.shared import devices_to_type
+from bench.services.requests.shared import devices_to_type, runs_to_type
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -79,7 +79,9 @@ def _morning(request: Check, json: str | None) -> int:
 def _offer_dry_run(found: Findings, request: Check) -> None:
     if found.can_be_tried:
         bench = f" --bench {as_typed(request.bench)}" if request.bench else ""
-        words = f"bench run {as_typed(request.procedure)}{bench}{devices_to_type()} --dry-run"
+        until = "".join(f" --until {as_typed(goal)}" for goal in request.until or ())
+        runs = "" if request.runs is None else runs_to_type(Path(request.runs))
+        words = f"bench run {as_typed(request.procedure)}{bench}{until}{runs}{devices_to_type()} --dry-run"
         printing.console().print(f"no mistakes found; try it with: {words}")
 
 

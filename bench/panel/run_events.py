@@ -42,10 +42,9 @@ _STOPPED: Final = frozenset(
 class RunView:
     """The state of a run, derived from its events.
 
-    `step` is the event with which the current step began, None between steps. `begun` is the start event of the
-    first step after the run was begun or resumed. `turn` is the start event of the last turn since the block was
-    mounted; `set_c` is the set point (°C) of the chamber. `unmet` is the event of a wish that was refused since the
-    last answer. Results of steps are computed only when they are read.
+    `step` is the event with which the current step began, None between steps. `turn` is the start event of the last
+    turn since the block was mounted; `set_c` is the set point (°C) of the chamber. `unmet` is the event of a wish
+    that was refused since the last answer. Results of steps are computed only when they are read.
     """
 
     plan: Plan
@@ -54,7 +53,6 @@ class RunView:
     events: int = 0
     latest: Event | None = None
     step: Event | None = None
-    begun: Event | None = None
     turn: Event | None = None
     set_c: float | None = None
     slow: Event | None = None
@@ -91,7 +89,6 @@ class RunView:
         self.last.append(event)
         if event.type == EventType.STEP_STARTED:
             self.step = event
-            self.begun = self.begun or event
             if self._kinds[event.step] is Turn:
                 self.turn = event
         elif event.type == EventType.STEP_DONE:
@@ -124,7 +121,7 @@ class RunView:
             case EventType.LEFT_SAFE:
                 self.left_safe = {str(name): str(what) for name, what in event.data["to_do"].items()}
             case EventType.RUN_RESUMED:
-                self.step, self.begun, self.left_safe, self.why = None, None, {}, ""
+                self.step, self.left_safe, self.why = None, {}, ""
             case EventType.ASKED:
                 self.refused = None
             case EventType.ANSWERED:

@@ -258,10 +258,7 @@ def _where(seen: RunView, time_left: TimeLeft) -> dict[str, Any]:
     step = _step_at(seen)
     left_s = None
     if seen.state not in ENDED and seen.latest is not None:
-        at, bench_s = _next_step(seen), seen.latest.bench_s
-        if seen.step is not None:
-            at, bench_s = seen.step.step, seen.step.bench_s
-        left_s = time_left.at(at, bench_s)
+        left_s = time_left.at(_next_step(seen) if seen.step is None else seen.step.step)
     return {
         "installation": getattr(step, "installation", None) or getattr(seen.mounted, "installation", None),
         "series": getattr(step, "series", None) or getattr(seen.mounted, "series", None),

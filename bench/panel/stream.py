@@ -179,8 +179,7 @@ class Follower:
         if grown:
             for event in self._tail.new():
                 self._seen.take(event)
-                if event.type == EventType.CHOSEN:
-                    self._time_left.choose(event.data)
+                self._time_left.take(event)
                 self.residuals.note(event)
                 changed = True
         if not self._alive:
@@ -205,8 +204,6 @@ class Follower:
 
     def state(self) -> dict[str, Any]:
         """Return the current snapshot of the run, see `bench.panel.run_state.snapshot`."""
-        if (begun := self._seen.begun) is not None:
-            self._time_left.begin(begun.step, begun.bench_s)
         return snapshot(
             self._seen,
             self._about,

@@ -5,11 +5,14 @@ from __future__ import annotations
 import getpass
 import json
 import math
+import os
+import sys
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
+from weakref import finalize
 
 from bench.base.files import open_regular, read_regular
 from bench.base.languages import ENGLISH, language, message, translated
@@ -31,6 +34,7 @@ from drivers.person import ATTEMPTS, Person, Prompt, PromptKind
 
 CONTROL: Final = "control.jsonl"
 ANSWERS: Final = "answers.jsonl"
+HOLDS_FOLDERS: Final = sys.platform == "linux"
 LONGEST: Final = 4000
 """Greatest length of an answer in characters; longer texts are rejected."""
 SIGN: Final = ":"
@@ -134,14 +138,28 @@ class Controls:
 
 
 class _Lines:
-    """The lines of a file that other programs append to, from the byte `place` on."""
+    """The lines of a file that other programs append to, from the byte `place` on.
+
+    On Linux, the file is found also after its folder was renamed or moved.
+    """
 
     def __init__(self, path: Path, place: int = 0) -> None:
         self._path, self._place = path, place
+        self._held = False
+
+    def _hold(self) -> None:
+        """Keep the folder open, once it exists, and reach the file through it from then on."""
+        descriptor = os.open(self._path.parent, os.O_RDONLY)
+        self._held = True
+        finalize(self, os.close, descriptor)
+        if (through := Path(f"/proc/self/fd/{descriptor}")).is_dir():
+            self._path = through / self._path.name
 
     def next(self) -> bytes | None:
         """Return the next complete line, or None; an overlong line is cut to its first 8 × `LONGEST` bytes."""
         try:
+            if not self._held and HOLDS_FOLDERS:
+                self._hold()
             if self._path.stat().st_size <= self._place:  # as nearly always: quicker than to open it
                 return None
             with open_regular(self._path) as file:

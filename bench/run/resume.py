@@ -10,7 +10,18 @@ from itertools import takewhile
 from typing import Any, Final
 
 from bench.base.languages import message
-from bench.config.procedure.plan import Level, Mount, Plan, Read, SetTemperature, Settle, Step, Turn, Wait
+from bench.config.procedure.plan import (
+    Level,
+    Mount,
+    Plan,
+    Power,
+    Read,
+    SetTemperature,
+    Settle,
+    Step,
+    Turn,
+    Wait,
+)
 from bench.run.events import Event, EventType, Wish
 from bench.run.person import OpenPrompt, OperatorWish, RunControl, problem_with_answer
 from drivers.interfaces import BenchError, NoAnswer
@@ -147,7 +158,7 @@ def steps_of(ranges: Iterable[Sequence[int]]) -> set[int]:
     return {step for first, last in ranges for step in range(int(first), int(last) + 1)}
 
 
-ENDS_A_POINT: Final = Mount | SetTemperature | Level
+ENDS_A_POINT: Final = Mount | SetTemperature | Level | Power
 """Steps that end a point, because they may move the head or change the state of the block."""
 
 
@@ -335,7 +346,7 @@ def step_in_doubt(plan: Plan, doubt: Event) -> int:
     _, _, pass_number, point = doubt.data.get("wrong") or (0, "", 0, 0)
     for index in range(doubt.step, -1, -1):
         step = plan.steps[index]
-        if isinstance(step, Mount | SetTemperature):
+        if isinstance(step, Mount | SetTemperature | Power):
             break
         if isinstance(step, Read) and (step.pass_number, step.point) == (pass_number, point):
             return index + 1
@@ -354,8 +365,10 @@ class Redo:
 def redo_from(plan: Plan, progress: PlanProgress, wish: Wish, index: int) -> Redo | None:
     """Return the steps to repeat for a `wish` (operator's command) received at step `index`.
 
-    Return None if there is no turn of the head to repeat: none since the last mounting, levelling or new set point.
+    Return None if the head was not turned since the last mounting, levelling, switching or new set point.
     """
+    if index < len(plan.steps) and isinstance(plan.steps[index], Power) and index in progress.begun_s:
+        return None  # the block is off, or colder than it was
     after = index if progress.doubt is None else step_in_doubt(plan, progress.doubt)
     in_turn = not progress.chosen or progress.doubt is not None
     turn = turn_before(plan, after, progress.left_out) if in_turn else latest_turn(plan, progress, after)

@@ -18,9 +18,11 @@ from bench.config.procedure.plan import (
     Mount,
     OnFailure,
     Plan,
+    Power,
     Read,
     SelectInput,
     SetTemperature,
+    Step,
     Turn,
 )
 from bench.readings.table import Reading
@@ -386,6 +388,9 @@ class Runner:
             case Wish.SKIP if isinstance(self.plan.steps[index], Mount):
                 needed = message("the block must be mounted before the readings that follow")
                 return self._refuse(control, index, needed)
+            case Wish.SKIP if self._is_switched_otherwise(self.plan.steps[index]):
+                switched = message("the block must be switched as planned before the readings that follow")
+                return self._refuse(control, index, switched)
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())
@@ -394,6 +399,10 @@ class Runner:
                 raise self._aborted(control)
             case Wish.STOP:
                 raise Stopped(control)
+
+    def _is_switched_otherwise(self, step: Step) -> bool:
+        power = self._workbench.power
+        return isinstance(step, Power) and power is not None and power.on == (step.switch == "off")
 
     def _aborted(self, control: RunControl) -> RunAborted:
         self._emit(EventType.RUN_ABORTED, **control.reason_and_author())
@@ -430,7 +439,9 @@ class Runner:
         """Repeat the last point, or its whole pass, from its first turn; return the step to continue with."""
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
-            return self._refuse(control, index, message("no point was measured since the block was mounted"))
+            return self._refuse(
+                control, index, message("no point was measured since the block was mounted or switched")
+            )
         request = {"wish": control.wish.value, **control.who.to_json()}
         self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:

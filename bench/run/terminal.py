@@ -146,13 +146,36 @@ SLOW_TO_LEARN_S: Final = 1800.0
 
 
 class TimeLeft:
-    """An estimator of the time left in a run; `step_s` is the expected duration of each step, s."""
+    """An estimator of the time left in a run from its events; `step_s` is the expected duration of each step, s.
+
+    The pace is that of the steps carried out since the run was begun or resumed. A step that was done before, such
+    as a soak after a stop, delays the steps that remain, and is no progress among them.
+    """
 
     def __init__(self, step_s: Sequence[float]) -> None:
         self._step_s = list(step_s)
         self._out: set[int] = set()
+        self._done: set[int] = set()
         self._left_s = _from_each_on(self._step_s)
-        self._begun: tuple[int, float] | None = None
+        self._since_s: float | None = None
+        self._took_s = self._expected_s = 0.0
+
+    def take(self, event: Event) -> None:
+        """Update the estimate with the next event."""
+        match event.type:
+            case EventType.RUN_RESUMED:
+                self._done.update(range(event.step))
+                self._since_s, self._took_s, self._expected_s = None, 0.0, 0.0
+            case EventType.STEP_DONE:
+                if self._since_s is not None and event.bench_s >= self._since_s:  # else a dry run was resumed
+                    self._took_s += event.bench_s - self._since_s
+                    self._expected_s += self._step_s[event.step]
+                self._since_s = event.bench_s
+                self._done.add(event.step)
+            case EventType.REDO:
+                self._done.difference_update(event.steps)
+            case EventType.CHOSEN:
+                self.choose(event.data)
 
     def choose(self, chosen: Mapping[str, Any]) -> None:
         """Apply a choice of points: leave out the steps it excludes, rescale the durations of undecided steps."""
@@ -166,21 +189,13 @@ class TimeLeft:
             step_s[place] = [part * seconds for seconds in step_s[place]]
         self._left_s = _from_each_on(step_s)
 
-    def begin(self, index: int, bench_s: float) -> None:
-        """Measure the pace from step `index` and bench time `bench_s` on."""
-        self._begun = (index, bench_s)
-
-    def at(self, index: int, bench_s: float) -> float:
-        """Return the estimated time left, s, if step `index` starts at bench time `bench_s`.
-
-        Without `begin`, the pace is measured from the first call on.
-        """
-        if self._begun is None:
-            self._begun = (index, bench_s)
-        first, begun_s = self._begun
-        expected_s = self._left_s[first] - self._left_s[index]
-        pace = (bench_s - begun_s + SLOW_TO_LEARN_S) / (expected_s + SLOW_TO_LEARN_S)
-        return pace * self._left_s[index]
+    def at(self, index: int) -> float:
+        """Return the estimated time left, s, at the beginning of step `index`."""
+        pace = (self._took_s + SLOW_TO_LEARN_S) / (self._expected_s + SLOW_TO_LEARN_S)
+        if index not in self._done:
+            return pace * self._left_s[index]
+        remaining = (i for i in range(len(self._step_s)) if i not in self._done and i not in self._out)
+        return pace * (self._step_s[index] + self._left_s[next(remaining, -1)])
 
 
 def _from_each_on(step_s: Sequence[float]) -> list[float]:
@@ -373,9 +388,10 @@ class ProgressBar:
 
     def __call__(self, event: Event) -> None:
         """Update the bar for an event of the run."""
+        self._time_left.take(event)
         if event.type == EventType.STEP_STARTED:
             index = event.step
-            left = duration(self._time_left.at(index, event.bench_s))
+            left = duration(self._time_left.at(index))
             step = message(f"step {index + 1}/{len(self._plan.steps)}")
             text = f"{step}  {self._plan.steps[index].describe()}"
             self._status = f"{text}; {message(f'{left} left')}"
@@ -385,7 +401,6 @@ class ProgressBar:
             self._progress.update(self._task, completed=event.step + 1)
             self._show_reading(event.reading)
         elif event.type == EventType.CHOSEN:
-            self._time_left.choose(event.data)
             if not quiet.get():
                 self._console.print(Text(translated(sentence(event)), style="bold"), soft_wrap=False)
         elif event.type == EventType.EARLY_SIGN and event.data.get("confident"):

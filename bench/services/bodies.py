@@ -13,7 +13,6 @@ import numpy as np
 
 from bench.base.arrays import Floats, Mask
 from bench.base.languages import message
-from bench.base.text import as_typed
 from bench.diagnosis.mistakes.search import Mistake
 from bench.readings.corrected import MistakeName
 from bench.readings.table import JoinedPart, Readings, all_free, together
@@ -25,6 +24,7 @@ from bench.run.folder import Run
 from bench.services.errors import Refused
 from bench.services.own_effects import knowing_effects_in
 from bench.services.requests.evaluation import Diagnose
+from bench.services.requests.shared import name_to_type
 from bench.services.source import (
     Failed,
     Source,
@@ -220,7 +220,7 @@ def told_in_words(run: Run) -> list[str]:
         lines.append(message(f"early warning: {more} more cause{'' if more == 1 else 's'}"))
     lines += [sentence(event) for event in overruled]
     if named:
-        lines.append(message(f"'bench diagnose {as_typed(run.name)}' uses these causes"))
+        lines.append(message(f"'bench diagnose {name_to_type(run.folder)}' uses these causes"))
     repaired = run.history.progress.signs - len(signs)
     if repaired:
         lines.append(

@@ -15,7 +15,7 @@ from bench.base.arrays import Floats
 from bench.base.files import write_whole
 from bench.base.languages import message
 from bench.base.tables import as_html, as_text
-from bench.base.text import as_typed, listed
+from bench.base.text import listed
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate as estimate
 from bench.calibration.estimators import CLOSED_FORM, GLS
@@ -285,7 +285,7 @@ class CalibrationResult:
 
     @property
     def _said(self) -> tuple[str, ...]:
-        fit = self.calibration.lack_of_fit.diagnose(as_typed(self.source.name))
+        fit = self.calibration.lack_of_fit.diagnose(self.source.typed)
         names, at_reference = self._of_temperature
         at = (message(f"the coefficients hold at {REFERENCE_C:g} °C, the reference of {listed(names)}"),)
         return (*fit, *self.doubts, *(at if at_reference else ()), *self.of_prior, *self.calibration.notes)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.files import to_text
-from bench.base.text import as_typed, listed, repeated
+from bench.base.text import listed, repeated
 from bench.calibration.budget.whole import sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
@@ -224,7 +224,7 @@ def tumbled(request: Tumble, loaded: Sequence[Source]) -> Iterator[tuple[TumbleV
         )
         view = combine(view, source.bench, source.model, terms, source.traced.day)
         notes = [
-            *view.lack_of_fit.diagnose(as_typed(source.name)),
+            *view.lack_of_fit.diagnose(source.typed),
             *view.notes,
             *readings.notes,
             *readings.skipped,

@@ -16,7 +16,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.computing import versions
 from bench.base.languages import message
-from bench.base.text import civil_minute, repeated, shown_path
+from bench.base.text import as_typed, civil_minute, repeated, shown_path
 from bench.calibration.budget.meters import KnownMeters
 from bench.calibration.noise import ONE_TEMPERATURE_K, KnownStand
 from bench.config.bench_file.file import BenchFile
@@ -41,7 +41,7 @@ from bench.services.bench_selection import (
     recorded_sha256,
 )
 from bench.services.errors import Refused, sentence
-from bench.services.requests.shared import Bench, OnReadings, runs_folder
+from bench.services.requests.shared import Bench, OnReadings, name_to_type, runs_folder
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -118,6 +118,12 @@ class Source:
     known: KnownStand | None = None
     known_meters: KnownMeters | None = None
     learned_of: str = ""
+
+    @property
+    def typed(self) -> str:
+        """The name as a shell takes it; the path of a run that is not in the default folder of runs."""
+        run = self.run
+        return as_typed(self.name) if run is None or self.name != run.name else name_to_type(run.folder)
 
     @property
     def simulated(self) -> bool:

@@ -13,7 +13,6 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.tables import as_html, as_text
-from bench.base.text import as_typed
 from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import delta_g_contributions, delta_g_elsewhere, without_meters
@@ -209,7 +208,7 @@ class VerificationResult:
     @property
     def _against(self) -> tuple[str, ...]:
         """Sentences on the lack of fit, if the coefficients were estimated from the same readings."""
-        return () if self.fit is None else self.fit.diagnose(as_typed(self.source.name))
+        return () if self.fit is None else self.fit.diagnose(self.source.typed)
 
     @property
     def notes(self) -> tuple[str, ...]:

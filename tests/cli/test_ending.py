@@ -13,6 +13,7 @@ from bench.calibration.conformity import Statement
 from bench.calibration.result import FaultyReadings, SpoiledFit
 from bench.run.folder import Run
 from bench.services.conclusion import MOST_LINES, conclude, ending, run_again
+from bench.services.source import Request, load_sources
 from tests.support.commands import printed, refused
 from tests.support.pages import ROOT
 
@@ -141,6 +142,15 @@ def test_many_looks_are_shortened(concluded):
 def test_a_run_elsewhere_is_named_by_its_path(concluded, monkeypatch):
     monkeypatch.setenv("BENCH_RUNS", "others")
     assert ending(real(concluded))[-2] == "next: bench certificate runs/finished"
+
+
+@pytest.mark.parametrize(
+    ("name", "typed"), [("finished", "runs/finished"), ("runs/finished", "runs/finished")]
+)
+def test_a_command_on_a_run_elsewhere_names_it_by_its_path(concluded, monkeypatch, name, typed):
+    """'bench diagnose finished' found no such run, or another one of that name."""
+    monkeypatch.setenv("BENCH_RUNS", "others")
+    assert load_sources(Request([name], Path("runs")))[0].typed == typed
 
 
 def test_a_command_to_paste_is_quoted(concluded):

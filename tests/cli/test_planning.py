@@ -64,6 +64,14 @@ def test_the_dry_run_that_is_offered_has_the_folder_of_devices(bench):
     assert bench("check", "quick")[1].splitlines()[-1].endswith("bench run quick --dry-run")
 
 
+def test_the_dry_run_that_is_offered_has_the_goals_and_the_folder_of_runs(bench):
+    asked = ("--until", "all=2e-4", "--until", "time=8h", "--runs", "their runs")
+    offered = bench("check", "calibration", *asked)[1].splitlines()[-1]
+    assert offered.endswith(
+        "bench run calibration --until all=2e-4 --until time=8h --runs 'their runs' --dry-run"
+    )
+
+
 # --- require ------------------------------------------------------------------------------------------
 
 

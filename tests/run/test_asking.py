@@ -310,6 +310,22 @@ def test_what_a_full_disk_or_a_power_cut_tore_swallows_no_later_request(run, awa
     assert away.ask(MOUNT).text == "yes"
 
 
+@pytest.mark.skipif(
+    not person_module.HOLDS_FOLDERS, reason="an open folder cannot be followed on this system"
+)
+def test_requests_and_answers_are_heard_after_the_folder_was_renamed(run, away):
+    """'stop was sent; it takes effect at once', said the command, and nobody heard it."""
+    controls = ControlFile(run.folder)
+    assert controls.poll() is None
+    away.drain()
+    run.folder = run.folder.rename(run.folder.with_name("renamed"))
+    leave_wish(run.folder, RunControl(Wish.STOP, "smoke", who=ANN))
+    assert controls.poll() == RunControl(Wish.STOP, "smoke", who=ANN)
+    told = run.events
+    run.plan = [lambda: leave_answer(run.folder, LeftAnswer(open_prompt(told).event.data["id"], "yes", ANN))]
+    assert away.ask(MOUNT).text == "yes"
+
+
 def test_a_wish_to_stop_leaves_a_question_as_ctrl_c_does(run, away, keyboard_and_person):
     away.attach(run.tell, WishListener(ControlFile(run.folder)))
     run.plan = [lambda: leave_wish(run.folder, RunControl(Wish.STOP, "smoke", who=ANN))]

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from bench.config.procedure.plan import Plan, Power, Read
+from bench.config.procedure.plan import Mount, Plan, Power, Read, Turn, Wait
 from bench.run.events import RunState, Wish
-from bench.run.person import RunControl
+from bench.run.person import Controls, RunControl
 from bench.run.power import SET_AGAIN, RailFault
 from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
@@ -306,6 +306,71 @@ def test_what_is_off_on_purpose_is_not_watched_and_has_no_rails(run):
     _, readings, stopped = run(Supply(VirtualClock()), plan)
     assert stopped is None
     assert "rails" not in readings[0]
+
+
+# --- wishes while it is switched --------------------------------------------------------------------
+
+
+def point(series, number):
+    where = ("1", series, 1, number, 0.5 * number, 1)
+    key = f"{series}.{number}"
+    return (
+        Turn(f"t{key}", *where, STOP),
+        Wait(f"w{key}", 5.0, "settling"),
+        Read(f"r{key}", *where, 2, 10.0, STOP),
+    )
+
+
+CYCLED = Plan(
+    "cycled",
+    (Mount("m", "1", 1), *point(1, 1), *point(1, 2), Power("p", "cycle", 600.0), *point(2, 1), *point(2, 2)),
+    "",
+)
+
+
+class At(Controls):
+    """One wish, as soon as `due` is true."""
+
+    def __init__(self, wish, due):
+        self.wishes, self.due = [RunControl(wish, "why")], due
+
+    def poll(self):
+        return self.wishes.pop() if self.wishes and self.due() else None
+
+
+@pytest.mark.parametrize("wish", [Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.MOUNT_AGAIN, Wish.SKIP])
+@pytest.mark.parametrize("when", [ON + OFF, ON + OFF + ON], ids=["off", "cold"])
+def test_no_wish_makes_a_reading_of_a_block_that_is_off_or_cold(run, wish, when):
+    """The point measured before was repeated while the block was off, and replaced the good reading."""
+    supply = Supply(VirtualClock())
+    history, readings, stopped = run(supply, CYCLED, controls=At(wish, lambda: switched(supply) == when))
+    assert stopped is None
+    assert [(one["series"], one["point"]) for one in readings] == [(1, 1), (1, 2), (2, 1), (2, 2)]
+    assert all(one["rails"] for one in readings)
+    answers = [event.type for event in history.events if event.type in {"wish_refused", "skipped"}]
+    assert answers == (["skipped"] if wish is Wish.SKIP and when != ON + OFF else ["wish_refused"])
+
+
+def test_a_point_that_is_left_out_leaves_the_switching_after_it(run):
+    """The readings of the next series were taken without the switching that is their purpose."""
+    supply, bench = Supply(VirtualClock()), Bench()
+    due = At(Wish.SKIP, lambda: ("move", "t1.2") in bench.done)
+    history, readings, _ = run(supply, CYCLED, bench, controls=due)
+    assert [(one["series"], one["point"]) for one in readings] == [(1, 1), (2, 1), (2, 2)]
+    assert powers(history) == ["on", "off", "on", "off"]
+
+
+def test_after_the_switching_no_point_of_the_series_before_it_is_repeated(run):
+    """It would be a reading of the block as switched on again, among those before."""
+    supply, done = Supply(VirtualClock()), []
+
+    def note(event):
+        done.extend([event.data["key"]] if event.type == "step_done" else [])
+
+    due = At(Wish.REPEAT_POINT, lambda: done[-1:] == ["p"])
+    _, readings, _ = run(supply, CYCLED, controls=due, observers=[note])
+    assert due.wishes == []
+    assert [(one["series"], one["point"]) for one in readings] == [(1, 1), (1, 2), (2, 1), (2, 2)]
 
 
 # --- going on ---------------------------------------------------------------------------------------

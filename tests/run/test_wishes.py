@@ -95,7 +95,7 @@ def test_redo_with_nothing_measured_since_the_mounting_is_refused(tmp_path):
     history, keys, _ = listening(tmp_path, {poll_at("m2"): RunControl(Wish.REPEAT_POINT)})
     assert keys == READS
     refused = [e for e in history.events if e.type == "wish_refused"]
-    assert refused[0].data["why"] == "no point was measured since the block was mounted"
+    assert refused[0].data["why"] == "no point was measured since the block was mounted or switched"
 
 
 def test_skip_leaves_the_point_out_with_its_reason(tmp_path):
