@@ -84,7 +84,7 @@ def refuse_other_set_point(name: str, shown_c: float, target_c: float, resolutio
 
     The two may differ by half the controller's resolution, plus a margin for floating-point rounding.
     """
-    if abs(shown_c - target_c) > 0.51 * resolution_c:
+    if not abs(shown_c - target_c) <= 0.51 * resolution_c:
         raise InstrumentRefused(
             name,
             f"its set point is {shown_c:g} °C, not the {target_c:g} °C demanded",

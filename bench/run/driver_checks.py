@@ -42,11 +42,13 @@ def named_fault(error: Exception, instruments: Sequence[Instrument]) -> BenchErr
     found: tuple[Instrument, str] | None = None
     last: tuple[FrameType, int] | None = None
     for frame, line in walk_tb(error.__traceback__):
-        last = frame, line
+        module = str(frame.f_globals.get("__name__"))
+        if not module.startswith("drivers.wire."):  # the driver's call says more than the line of the session
+            last = frame, line
         own = next((one for one in instruments if one is frame.f_locals.get("self")), None)
         if own is not None:
             found = own, found[1] if found is not None and found[0] is own else frame.f_code.co_name
-        elif str(frame.f_globals.get("__name__")).startswith("bench."):
+        elif module.startswith("bench."):
             found = None
     if found is None or last is None:
         lacking = getattr(error, "obj", None) if isinstance(error, AttributeError) else None

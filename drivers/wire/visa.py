@@ -141,6 +141,7 @@ class MessageSession:
 
         Raises `InstrumentLost`, or `BadReading` if unsolicited data had arrived.
         """
+        _refuse_unsendable(command)
         with self._exchange(command) as connection:
             self._send(connection, command)
 
@@ -158,6 +159,7 @@ class MessageSession:
         Raises `InstrumentLost` if nothing arrives within `timeout_s` (None: the session's timeout), and
         `BadReading` for a reply that is truncated, garbled, or followed by another.
         """
+        _refuse_unsendable(command)
         allowed_s = self.timeout_s if timeout_s is None else timeout_s
         with self._exchange(command) as connection:
             self._send(connection, command)
@@ -397,6 +399,12 @@ class MessageSession:
     def _log(self, direction: str, text: str) -> None:
         if self._wire is not None:
             self._wire(self.name, direction, text)
+
+
+def _refuse_unsendable(command: str) -> None:
+    """Raise `ValueError`, a mistake of the driver, for a command that is not ASCII text."""
+    if not command.isascii():
+        raise ValueError(f"a session sends ASCII text only, not {_shown(command)}")
 
 
 def _text(data: bytes) -> str:

@@ -269,7 +269,12 @@ class FaultyInstrument:
             self.dialect.overloaded = True
         try:
             reply: bytes | None = self.dialect.handle(message, interrupted)
+            if reply is not None and not isinstance(reply, bytes):
+                raise TypeError(f"handle returns {reply!r}; return bytes or None")
             return reply
+        except Exception as error:  # it ends the connection, which the driver reports as a lost instrument
+            error.add_note(f"the simulation of {self.name} failed at {message!r}: correct it")
+            raise
         finally:
             if overloaded:
                 self.dialect.overloaded = False

@@ -6,7 +6,7 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from drivers.interfaces import BenchError, InstrumentRefused, LevelSizes, LimitExceeded
-from tests.support.instrument_stand import Between, known, standing, taking
+from tests.support.instrument_stand import Between, known, skip_if_own, standing, taking
 
 chambers = pytest.mark.parametrize("device", known("chamber"), ids=lambda device: device.name)
 
@@ -114,18 +114,24 @@ def test_one_that_was_switched_off_is_set_anew(device, tmp_path):
 @thermometers
 def test_a_sensor_that_came_off_tells_nothing(device, tmp_path):
     came_off = False
+    asked = []
 
     class Open(Between):
         def handle(self, message, interrupted):
             reply = super().handle(message, interrupted)
-            asked = message.upper().startswith((b"FETC", b"TEMP?"))
-            return b"+9.90000000E+37" if came_off and asked else reply
+            if not message.upper().startswith((b"FETC", b"TEMP?")):
+                return reply
+            asked.append(message)
+            return b"+9.90000000E+37" if came_off else reply
 
     with standing(device, tmp_path, Open) as stand:
         stand.driver.open()
+        stand.driver.block_c("1/read")
+        if not asked:
+            skip_if_own(device, "its open sensor is not simulated")
         came_off = True
         with pytest.raises(BenchError) as refusal:
-            stand.driver.block_c("1/read")
+            stand.driver.block_c("2/read")
         assert refusal.value.remedy
 
 

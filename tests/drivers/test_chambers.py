@@ -36,6 +36,8 @@ def test_a_set_point_may_differ_by_rounding_only() -> None:
     refuse_other_set_point("chamber", 25.0, 25.05, 0.1)
     with pytest.raises(InstrumentRefused, match=r"set point is 25 °C, not the 25\.1 °C demanded"):
         refuse_other_set_point("chamber", 25.0, 25.1, 0.1)
+    with pytest.raises(InstrumentRefused, match="its set point is nan"):
+        refuse_other_set_point("chamber", float("nan"), 25.0, 0.1)
 
 
 @pytest.mark.parametrize(("low", "high", "band"), [(10.0, 10.0, None), (0.0, 50.0, 0.0)])

@@ -12,6 +12,7 @@ from bench.run.driver_checks import checked_inclination, checked_position, check
 from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import BadReading, BenchError, HeadPosition, Inclination, NoAnswer
+from drivers.wire.visa import MessageSession
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import Bench, Head, Meter, Person, make_runner, new_record, recorded
 
@@ -80,6 +81,21 @@ def test_an_exception_in_a_driver_names_instrument_file_and_line(stopped, monkey
     place = f"(run/test_driver_checks.py:{line}) with KeyError: 'nplc'"
     assert f"its driver failed in {method} {place}" in error
     assert instrument in {"head", "voltmeter.x", "voltmeter.x, voltmeter.y, voltmeter.z"}
+
+
+def test_the_place_of_a_session_s_refusal_is_the_line_of_the_driver(monkeypatch):
+    session = MessageSession("head", "TCPIP0::192.0.2.1::1::SOCKET")
+
+    def move(self, *_):
+        session.write("SET 40 °C")
+
+    monkeypatch.setattr(Head, "move", move)
+    head = Head(Bench())
+    with pytest.raises(ValueError, match="ASCII") as raised:
+        head.move(0.5, 1, "key")
+    line = move.__code__.co_firstlineno + 1
+    place = f"failed in move (run/test_driver_checks.py:{line}) with ValueError: a session sends ASCII"
+    assert place in str(named_fault(raised.value, [head]))
 
 
 def test_an_identity_that_is_none_is_refused(stopped, monkeypatch):

@@ -14,6 +14,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import pytest
 import yaml
 
 from bench.config.bench_file.file import BenchFile, load_bench
@@ -79,6 +80,16 @@ def answering(reply: bytes) -> type[Between]:
     return Stranger
 
 
+class Cutting(Between):
+    """An instrument whose replies lose their last three characters while `cut`; shorter ones stay whole."""
+
+    cut = False
+
+    def handle(self, message: bytes, interrupted: Callable[[], bool]) -> bytes | None:
+        reply = super().handle(message, interrupted)
+        return reply[:-3] if self.cut and reply is not None and len(reply) > 3 else reply
+
+
 class Mute(Between):
     """An instrument that accepts every message and never replies."""
 
@@ -95,6 +106,12 @@ def taking(wanted: str, instead: str) -> Callable[[Any], Between]:
             return super().handle(number.sub(instead.encode(), message), interrupted)
 
     return Taking
+
+
+def skip_if_own(device: Device, why: str) -> None:
+    """Skip the test for a user's own device, on which its fault cannot act; a shipped device must not get here."""
+    assert devices().origin(device.name) is not None, why
+    pytest.skip(why)
 
 
 # --- the bench --------------------------------------------------------------------------------------

@@ -299,6 +299,18 @@ def test_bad_reply_is_one_sentence_and_the_next_exchange_is_clean(
         assert s.connection == 2
 
 
+@pytest.mark.parametrize("command", ["SET 40 °C", "\x01\x03\x80"])
+def test_a_command_that_is_not_ascii_is_a_mistake_of_the_driver_and_keeps_the_connection(
+    command: str,
+) -> None:
+    with served(answer) as resource, session(resource, LONG_S) as s:
+        s.open()
+        for send in (s.write, s.query):
+            with pytest.raises(ValueError, match="sends ASCII text only, not"):
+                send(command)
+        assert s.connection == 1
+
+
 def test_late_reply_is_never_the_answer_to_the_next_query() -> None:
     asked_again = threading.Event()
 

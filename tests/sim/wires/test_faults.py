@@ -18,6 +18,7 @@ from sim.bench import SimulatedBench
 from sim.control import BenchControl
 from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind, FaultyInstrument
+from sim.wires.session import PlainDialect
 from sim.world.clock import VirtualClock
 from sim.world.power import PowerSettings, Rail
 from sim.world.world import World, WorldSettings
@@ -339,3 +340,14 @@ def test_mistakes_are_told():
     assert "sag" in str(told(of, "rail")["error"])
     assert "no rail" in str(told(of, "rail off P25V")["error"])
     assert "no supply" in str(told(control()[1], "rail off")["error"])
+
+
+@pytest.mark.parametrize("reply", ["+1.0", 1.0, {}])
+def test_a_simulations_own_mistake_names_its_instrument_and_the_message(reply: object) -> None:
+    class Mistaken(PlainDialect):
+        def handle(self, message: bytes, interrupted: object) -> object:
+            return reply or {}["no such key"]
+
+    with pytest.raises((TypeError, KeyError)) as mistake:
+        FaultyInstrument(Mistaken(), "bell", 1).handle(b"RING?", never)  # type: ignore[arg-type]
+    assert mistake.value.__notes__ == ["the simulation of bell failed at b'RING?': correct it"]
