@@ -152,8 +152,8 @@ class CoefficientsResult(ResultModel):
     unit_under_test: BlockPart | None
     made_at: str | None = Field(description="when the run was begun, ISO 8601")
     temperature_c: Real = Field(
-        description="temperature of the block at which the coefficients hold, °C: the mean of the readings, or the "
-        "reference if they were corrected for temperature; null if unknown"
+        description="temperature of the block at which the coefficients hold, °C: the mean of the readings or, for "
+        "those corrected for temperature, the reference; null if unknown"
     )
     bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
     certificates: list[str] = Field(description="the certificates of the instruments, in words")

@@ -134,7 +134,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         _block_terms(data, where),
         _wander(data),
         _block_name(data),
-        math.nan if _temperature_effects(data) else _number_or(math.nan, data.get("temperature_c")),
+        math.nan if _of_bias_or_scale(data) else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
         _channel_noise(data["noise"]),
@@ -240,6 +240,11 @@ def _temperature_effects(data: Any) -> list[str]:
     stated = [str(name) for name in listed] if isinstance(listed, list) else []
     fitted = (str(name).partition(".")[0] for name in _part(data, "effects"))
     return list(dict.fromkeys([*stated, *(n for n in fitted if n in {*TEMPERATURE_EFFECTS, *AT_REFERENCE})]))
+
+
+def _of_bias_or_scale(data: Any) -> bool:
+    """Return whether the result was corrected for the temperature of biases or scale factors."""
+    return not set(TEMPERATURE_EFFECTS).isdisjoint(_temperature_effects(data))
 
 
 def _holds_at(data: Any) -> float:
