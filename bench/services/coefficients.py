@@ -217,6 +217,7 @@ def block_result(data: Any, where: str) -> BlockResult:
         signs=_signs(data),
         fits=taken.fits,
         effects=tuple(_left_out(data)),
+        nonlinearity=_nonlinearity(data),
     )
 
 
@@ -255,6 +256,17 @@ def _holds_at(data: Any) -> float:
     if any(name in AT_REFERENCE for name in used):
         return REFERENCE_C
     return math.nan if used else _number_or(math.nan, data.get("temperature_c"))
+
+
+def _nonlinearity(data: Any) -> tuple[str, ...]:
+    """Return u of the block's K2 and K3 in words, such as "30 ug/g^2"; empty if the result does not state both."""
+    listed = data.get("sources")
+    rows = [one for one in listed if isinstance(one, Mapping)] if isinstance(listed, list) else []
+    sizes = {one.get("name"): _text(one.get("size")) for one in rows}
+    words = [
+        sizes.get(name, "").replace("µ", "u").replace("²", "^2").replace("³", "^3") for name in ("K2", "K3")
+    ]
+    return tuple(words) if all(words) else ()
 
 
 def _left_out(data: Any) -> Iterator[FittedEffect]:
