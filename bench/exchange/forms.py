@@ -130,7 +130,10 @@ static inline void coefficients_specific_force(const double u[3], double a[3])
     }}
 }}
 
-/* Covariance c[3][3] of that a, in g^2, from the covariance of N and U0; the noise of u is not in it. */
+/*
+ * Covariance c[3][3] of that a, in g^2, from the covariance of N and U0. It holds up to 1 g: noise of u and, above
+ * 1 g, nonlinearity of the block are not in it (see "range" in the head of this file).
+ */
 static inline void coefficients_force_covariance(const double u[3], double c[3][3])
 {{
     double by[3][12], sum;
@@ -240,7 +243,13 @@ def _conversion(sheet: Worksheet, result: BlockResult) -> None:
     upright = result.block.output(np.array([[0.0, 0.0, 1.0]]))[0]
     _write(sheet, [["", *CHANNELS], [f"U / {result.unit}", *upright.tolist()]])
     _write(
-        sheet, [["U - U0"], ["a / g"], ["|a| / g"], [f"U of |a| / g (k = {result.k:g}), without noise of U"]]
+        sheet,
+        [
+            ["U - U0"],
+            ["a / g"],
+            ["|a| / g"],
+            [f"U of |a| / g (k = {result.k:g}) up to 1 g, without noise of U"],
+        ],
     )
     columns = "BCD"
     for j, column in enumerate(columns):

@@ -152,8 +152,8 @@ class CoefficientsResult(ResultModel):
     unit_under_test: BlockPart | None
     made_at: str | None = Field(description="when the run was begun, ISO 8601")
     temperature_c: Real = Field(
-        description="temperature of the block at which the coefficients hold, °C: the mean of the readings, or the "
-        "reference if they were corrected for temperature; null if unknown"
+        description="temperature of the block at which the coefficients hold, °C: the mean of the readings or, for "
+        "those corrected for temperature, the reference; null if unknown"
     )
     bench: dict[str, str] | None = Field(description="the bench file, as in the result of `bench calibrate`")
     certificates: list[str] = Field(description="the certificates of the instruments, in words")
@@ -189,6 +189,9 @@ class CoefficientsResult(ResultModel):
         default={},
         description="parameters of the block's effects in the model, which these numbers leave out",
     )
+    valid: str = Field(
+        default="", description="the accelerations for which u and the covariances hold, a sentence"
+    )
     check: CheckPart
 
 
@@ -212,7 +215,8 @@ class BlockResult:
     empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
     if it is unknown. `fits` is false if the readings contradict the model; `effects` are the parameters of the
-    block's effects in that model, such as K2, which these numbers omit, too. If free positions alone gave the
+    block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity` has u of the block's K2
+    and K3 in words; empty if the result does not state them. If free positions alone gave the
     result, `signs` states the source of the scale factors' signs, "bench file" or "positive" by convention;
     otherwise it is empty.
     """
@@ -237,6 +241,7 @@ class BlockResult:
     signs: str = ""
     fits: bool = True
     effects: tuple[FittedEffect, ...] = ()
+    nonlinearity: tuple[str, ...] = ()
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -313,6 +318,7 @@ class BlockResult:
             "local gravity": f"g = {self.g_m_s2!r} m/s^2{of_g}: accelerations are in this g",
             "uncertainty": f"u: standard uncertainty, U = k u with k = {self.k:g}; "
             f"{COMBINED if self.combined else OF_READINGS}",
+            "range": self._range,
         }
         if self.signs:
             told["convention"] = self._convention
@@ -322,6 +328,17 @@ class BlockResult:
             listed = ", ".join(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.effects)
             told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
         return {name: one_line(text) for name, text in told.items()}
+
+    @property
+    def _range(self) -> str:
+        """A sentence on the accelerations for which u and the covariances hold."""
+        terms = " and ".join(
+            f"{size} a^{power}".strip() for power, size in enumerate(self.nonlinearity or ("K2", "K3"), 2)
+        )
+        return (
+            f"u and covariance of a hold up to 1 g; above, add the block's nonlinearity, {terms} of each axis "
+            "(k = 1), by 'bench budget'"
+        )
 
     @property
     def _convention(self) -> str:
@@ -351,6 +368,7 @@ class BlockResult:
             misalignments=self.misalignments.part(convention=CONVENTION),
             temperature=self.facts().get("temperature"),
             effects={one.name: one for one in self.effects},
+            valid=self._range,
             **({"convention": self._convention} if self.signs else {}),
             check=CheckPart(
                 signs=picture(self.unit),

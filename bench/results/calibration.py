@@ -237,8 +237,8 @@ class CalibrateResult(ResultModel):
     temperature_c: Real = None
     """mean temperature of the block in the fitted readings, °C; null if unknown"""
     holds_at_c: Real = None
-    """temperature of the block at which the coefficients hold, °C: `temperature_c`, or the reference of an effect
-    of temperature in the model; null if unknown
+    """temperature of the block at which the coefficients hold, °C: `temperature_c` or, for those that an effect of
+    temperature in the model changes, its reference; null if unknown
     """
     unit_under_test: parts.UnitPart | None
     simulated: bool = Field(description="whether the instruments were simulated")

@@ -25,7 +25,7 @@ from bench.calibration.result import COVERAGE_FACTOR, Calibration, CalibrationEr
 from bench.calibration.temperature import PLATEAU_K, separate_temperatures
 from bench.config.bench_file.learned import PriorFile, load_prior
 from bench.model.conditions import REFERENCE_C
-from bench.model.effects import with_temperature
+from bench.model.effects import TEMPERATURE_EFFECTS, with_temperature
 from bench.model.geometry import COEFFICIENTS, Block
 from bench.readings.corrected import VOLTS
 from bench.readings.table import VERIFICATION, is_record
@@ -227,12 +227,12 @@ class CalibrationResult:
         """Return the coefficients as `read_coefficients` would return them from the result file."""
         from bench.services.coefficients import Coefficients, widened_noise
 
-        own = self.calibration
+        own, corrected = self.calibration, not set(TEMPERATURE_EFFECTS).isdisjoint(self._temperature_effects)
         return Coefficients(
             own.block, own.covariance, own.noise.reading, own.g_m_s2, own.unit, self.source.simulated,
             own.covariance_same_meters if own.sources else None, self.source.meters, own.gravity_u,
             self.source.made_at or "", own.block_terms if own.sources else None, own.wander,
-            self.source.block_name, math.nan if self._temperature_effects else self.temperature_c, self.accepted,
+            self.source.block_name, math.nan if corrected else self.temperature_c, self.accepted,
             self.joined_points, widened_noise(own.noise.by_channel, own.noise.setting_rad, own.noise.dof),
             own.shared,
         )  # fmt: skip
@@ -245,7 +245,11 @@ class CalibrationResult:
 
     @property
     def holds_at_c(self) -> float:
-        """Temperature of the block at which the coefficients hold, °C; NaN if it is unknown."""
+        """Temperature of the block at which the coefficients hold, °C; NaN if it is unknown.
+
+        With an effect of temperature it is the reference. Coefficients that the effect does not change then still
+        hold at `temperature_c`.
+        """
         return REFERENCE_C if self._of_temperature[1] else self.temperature_c
 
     @property
@@ -287,7 +291,12 @@ class CalibrationResult:
     def _said(self) -> tuple[str, ...]:
         fit = self.calibration.lack_of_fit.diagnose(self.source.typed)
         names, at_reference = self._of_temperature
-        at = (message(f"the coefficients hold at {REFERENCE_C:g} °C, the reference of {listed(names)}"),)
+        at = (
+            message(
+                f"coefficients corrected by {listed(names)} hold at {REFERENCE_C:g} °C, the others at the mean "
+                "temperature of the readings"
+            ),
+        )
         return (*fit, *self.doubts, *(at if at_reference else ()), *self.of_prior, *self.calibration.notes)
 
     @property

@@ -134,7 +134,7 @@ def coefficients_of(data: Any, where: str) -> Coefficients:
         _block_terms(data, where),
         _wander(data),
         _block_name(data),
-        math.nan if _temperature_effects(data) else _number_or(math.nan, data.get("temperature_c")),
+        math.nan if _of_bias_or_scale(data) else _number_or(math.nan, data.get("temperature_c")),
         _fits(data),
         _text(data.get("source")) if _joins_verification(data) else "",
         _channel_noise(data["noise"]),
@@ -217,6 +217,7 @@ def block_result(data: Any, where: str) -> BlockResult:
         signs=_signs(data),
         fits=taken.fits,
         effects=tuple(_left_out(data)),
+        nonlinearity=_nonlinearity(data),
     )
 
 
@@ -242,6 +243,11 @@ def _temperature_effects(data: Any) -> list[str]:
     return list(dict.fromkeys([*stated, *(n for n in fitted if n in {*TEMPERATURE_EFFECTS, *AT_REFERENCE})]))
 
 
+def _of_bias_or_scale(data: Any) -> bool:
+    """Return whether the result was corrected for the temperature of biases or scale factors."""
+    return not set(TEMPERATURE_EFFECTS).isdisjoint(_temperature_effects(data))
+
+
 def _holds_at(data: Any) -> float:
     """Return the temperature at which the coefficients hold, °C; NaN if it is unknown."""
     if "holds_at_c" in data:
@@ -250,6 +256,17 @@ def _holds_at(data: Any) -> float:
     if any(name in AT_REFERENCE for name in used):
         return REFERENCE_C
     return math.nan if used else _number_or(math.nan, data.get("temperature_c"))
+
+
+def _nonlinearity(data: Any) -> tuple[str, ...]:
+    """Return u of the block's K2 and K3 in words, such as "30 ug/g^2"; empty if the result does not state both."""
+    listed = data.get("sources")
+    rows = [one for one in listed if isinstance(one, Mapping)] if isinstance(listed, list) else []
+    sizes = {one.get("name"): _text(one.get("size")) for one in rows}
+    words = [
+        sizes.get(name, "").replace("µ", "u").replace("²", "^2").replace("³", "^3") for name in ("K2", "K3")
+    ]
+    return tuple(words) if all(words) else ()
 
 
 def _left_out(data: Any) -> Iterator[FittedEffect]:

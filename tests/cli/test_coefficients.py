@@ -9,6 +9,7 @@ import pytest
 
 import bench as face
 from bench.exchange.forms import FORMS
+from bench.services.coefficients import coefficients_of
 from bench.validation.registry import REFERENCE
 from tests.support.certificates import ORDER, copy_run, write_files
 from tests.support.commands import printed, refused
@@ -29,6 +30,7 @@ def test_a_run_in_every_form_each_in_its_folder_with_what_it_loses(finished):
     assert (status, err) == (0, "")
     assert out.splitlines()[0].startswith("bench file: paper-stand")
     assert "SIMULATED" in out
+    assert "nonlinearity, 30 ug/g^2 a^2 and 20 ug/g^3 a^3 of each axis" in " ".join(out.split())
     written = {path.name for path in Path("runs/finished").glob("coefficients*")}
     assert written == {f"coefficients{form.suffix}" for form in FORMS.values()}
     assert out.count("|a| is off by up to 13 mg, the vector a by up to 22 mg") == 2
@@ -230,6 +232,16 @@ def test_coefficients_without_temperature_state_the_temperature_at_which_they_ho
     assert json.loads(Path("out.json").read_text())["temperature_c"] == holds
 
 
+@pytest.mark.parametrize(("effect", "known"), [("thermal_misalignment", True), ("thermal_scale", False)])
+def test_biases_and_scale_factors_of_a_model_without_their_temperature_hold_at_that_of_the_readings(
+    effect, known
+):
+    """`verify` at another temperature then adds what the coefficients may have changed since."""
+    told = json.loads((RECORDS / "calibrate.json").read_text()) | {"temperature_c": 31.5}
+    told["temperature_effects"] = [effect]
+    assert np.isfinite(coefficients_of(told, "it").temperature_c) == known
+
+
 @pytest.mark.parametrize(
     ("effect", "parameters", "holds", "named"),
     [
@@ -250,7 +262,7 @@ def test_a_calibration_states_the_temperature_at_which_its_coefficients_hold(
     assert result["temperature_c"] == pytest.approx(23.0, abs=0.5)
     assert result["holds_at_c"] == pytest.approx(holds, abs=0.5 if holds > 20 else 0)
     assert result["temperature_effects"] == ([effect] if named else [])
-    assert any(f"hold at 20 °C, the reference of {effect}" in note for note in result["notes"]) == named
+    assert any(f"corrected by {effect} hold at 20 °C" in note for note in result["notes"]) == named
 
 
 def test_the_offset_of_an_axis_with_a_negative_scale_factor_is_not_taken_for_its_bias(bench):

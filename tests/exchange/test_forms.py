@@ -328,6 +328,15 @@ def test_every_form_names_a_misfit_and_the_effects_that_it_leaves_out(form):
     assert NOT_ACCEPTED not in seen(form, RESULT)
 
 
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_says_that_u_holds_up_to_1_g(form):
+    """At 10 g the covariance gives 0.4 mg, where K3 = 20 µg/g³ alone is 20 mg."""
+    result = BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", nonlinearity=("30 ug/g^2", "20 ug/g^3"))
+    for of, terms in ((result, "30 ug/g^2 a^2 and 20 ug/g^3 a^3"), (RESULT, "K2 a^2 and K3 a^3")):
+        said = " ".join(re.sub(r"[*#]", " ", seen(form, of)).split())
+        assert f"up to 1 g; above, add the block's nonlinearity, {terms} of each axis" in said
+
+
 def test_the_header_in_c_says_whether_the_calibration_was_accepted():
     assert "#define COEFFICIENTS_ACCEPTED 1\n" in text_of("c")
     unfit = BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", fits=False)
