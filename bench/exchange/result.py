@@ -190,7 +190,8 @@ class CoefficientsResult(ResultModel):
         description="parameters of the block's effects in the model, which these numbers leave out",
     )
     valid: str = Field(
-        default="", description="the accelerations for which u and the covariances hold, a sentence"
+        default="",
+        description="the accelerations and the temperature for which u and the covariances hold, a sentence",
     )
     check: CheckPart
 
@@ -216,9 +217,9 @@ class BlockResult:
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
     if it is unknown. `fits` is false if the readings contradict the model; `effects` are the parameters of the
     block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity` has u of the block's K2
-    and K3 in words; empty if the result does not state them. If free positions alone gave the
-    result, `signs` states the source of the scale factors' signs, "bench file" or "positive" by convention;
-    otherwise it is empty.
+    and K3 in words, `temperature_u` that of its temperature; both are empty if the result does not state them. If
+    free positions alone gave the result, `signs` states the source of the scale factors' signs, "bench file" or
+    "positive" by convention; otherwise it is empty.
     """
 
     block: Block
@@ -242,6 +243,7 @@ class BlockResult:
     fits: bool = True
     effects: tuple[FittedEffect, ...] = ()
     nonlinearity: tuple[str, ...] = ()
+    temperature_u: str = ""
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -331,13 +333,14 @@ class BlockResult:
 
     @property
     def _range(self) -> str:
-        """A sentence on the accelerations for which u and the covariances hold."""
+        """A sentence on the accelerations and the temperature for which u and the covariances hold."""
         terms = " and ".join(
             f"{size} a^{power}".strip() for power, size in enumerate(self.nonlinearity or ("K2", "K3"), 2)
         )
+        within = f", which has u = {self.temperature_u}" if self.temperature_u else ""
         return (
             f"u and covariance of a hold up to 1 g; above, add the block's nonlinearity, {terms} of each axis "
-            "(k = 1), by 'bench budget'"
+            f"(k = 1), by 'bench budget'; they hold at the block temperature stated here{within}"
         )
 
     @property

@@ -30,7 +30,12 @@ def test_a_run_in_every_form_each_in_its_folder_with_what_it_loses(finished):
     assert (status, err) == (0, "")
     assert out.splitlines()[0].startswith("bench file: paper-stand")
     assert "SIMULATED" in out
-    assert "nonlinearity, 30 ug/g^2 a^2 and 20 ug/g^3 a^3 of each axis" in " ".join(out.split())
+    plain = " ".join(out.split())
+    assert "nonlinearity, 30 ug/g^2 a^2 and 20 ug/g^3 a^3 of each axis" in plain
+    assert (
+        "block temperature stated here, which has u = 0.289 K (no band stated: +-0.5 K; 17.3 ug/K and"
+        in plain
+    )
     written = {path.name for path in Path("runs/finished").glob("coefficients*")}
     assert written == {f"coefficients{form.suffix}" for form in FORMS.values()}
     assert out.count("|a| is off by up to 13 mg, the vector a by up to 22 mg") == 2
