@@ -189,6 +189,7 @@ class CoefficientsResult(ResultModel):
         default={},
         description="parameters of the block's effects in the model, which these numbers leave out",
     )
+    notes: list[str] = Field(default=[], description="remarks of the calibration for the reader")
     valid: str = Field(
         default="",
         description="the accelerations and the temperature for which u and the covariances hold, a sentence",
@@ -215,11 +216,11 @@ class BlockResult:
     bench file of the result, `certificates` those of the instruments. `block_type`, `serial` and `made_at` are
     empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
-    if it is unknown. `fits` is false if the readings contradict the model; `effects` are the parameters of the
-    block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity` has u of the block's K2
-    and K3 in words, `temperature_u` that of its temperature; both are empty if the result does not state them. If
-    free positions alone gave the result, `signs` states the source of the scale factors' signs, "bench file" or
-    "positive" by convention; otherwise it is empty.
+    if it is unknown. `fits` is false if the readings contradict the model; `notes` are its remarks; `effects` are
+    the parameters of the block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity`
+    has u of the block's K2 and K3 in words, `temperature_u` that of its temperature; both are empty if the result
+    does not state them. If free positions alone gave the result, `signs` states the source of the scale factors'
+    signs, "bench file" or "positive" by convention; otherwise it is empty.
     """
 
     block: Block
@@ -244,6 +245,7 @@ class BlockResult:
     effects: tuple[FittedEffect, ...] = ()
     nonlinearity: tuple[str, ...] = ()
     temperature_u: str = ""
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -329,6 +331,7 @@ class BlockResult:
         if self.effects:
             listed = ", ".join(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.effects)
             told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
+        told |= {f"note {number}": note for number, note in enumerate(self.notes, 1)}
         return {name: one_line(text) for name, text in told.items()}
 
     @property

@@ -194,7 +194,7 @@ def block_result(data: Any, where: str) -> BlockResult:
     stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
     factors = [_positive(entry.get("k")) for entry in stated.values()]
     expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
-    sizes = _sizes(data)
+    sizes, listed = _sizes(data), data.get("notes")
     return BlockResult(
         block=taken.block,
         covariance=taken.covariance,
@@ -219,6 +219,7 @@ def block_result(data: Any, where: str) -> BlockResult:
         fits=taken.fits,
         effects=tuple(_left_out(data)),
         nonlinearity=(sizes["K2"], sizes["K3"]) if sizes.keys() >= {"K2", "K3"} else (),
+        notes=tuple(note for note in map(_text, listed if isinstance(listed, list) else ()) if note),
         temperature_u=sizes.get("temperature", ""),
     )
 
