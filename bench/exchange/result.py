@@ -189,8 +189,10 @@ class CoefficientsResult(ResultModel):
         default={},
         description="parameters of the block's effects in the model, which these numbers leave out",
     )
+    notes: list[str] = Field(default=[], description="remarks of the calibration for the reader")
     valid: str = Field(
-        default="", description="the accelerations for which u and the covariances hold, a sentence"
+        default="",
+        description="the accelerations and the temperature for which u and the covariances hold, a sentence",
     )
     check: CheckPart
 
@@ -214,11 +216,11 @@ class BlockResult:
     bench file of the result, `certificates` those of the instruments. `block_type`, `serial` and `made_at` are
     empty if unknown. `temperature` names the temperature effects for which the result was corrected, and which
     these numbers omit; empty for none. `temperature_c` is the temperature at which the coefficients hold, °C; NaN
-    if it is unknown. `fits` is false if the readings contradict the model; `effects` are the parameters of the
-    block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity` has u of the block's K2
-    and K3 in words; empty if the result does not state them. If free positions alone gave the
-    result, `signs` states the source of the scale factors' signs, "bench file" or "positive" by convention;
-    otherwise it is empty.
+    if it is unknown. `fits` is false if the readings contradict the model; `notes` are its remarks; `effects` are
+    the parameters of the block's effects in that model, such as K2, which these numbers omit, too. `nonlinearity`
+    has u of the block's K2 and K3 in words, `temperature_u` that of its temperature; both are empty if the result
+    does not state them. If free positions alone gave the result, `signs` states the source of the scale factors'
+    signs, "bench file" or "positive" by convention; otherwise it is empty.
     """
 
     block: Block
@@ -242,6 +244,8 @@ class BlockResult:
     fits: bool = True
     effects: tuple[FittedEffect, ...] = ()
     nonlinearity: tuple[str, ...] = ()
+    temperature_u: str = ""
+    notes: tuple[str, ...] = ()
 
     @cached_property
     def check(self) -> tuple[Floats, Floats]:
@@ -327,17 +331,19 @@ class BlockResult:
         if self.effects:
             listed = ", ".join(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.effects)
             told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
+        told |= {f"note {number}": note for number, note in enumerate(self.notes, 1)}
         return {name: one_line(text) for name, text in told.items()}
 
     @property
     def _range(self) -> str:
-        """A sentence on the accelerations for which u and the covariances hold."""
+        """A sentence on the accelerations and the temperature for which u and the covariances hold."""
         terms = " and ".join(
             f"{size} a^{power}".strip() for power, size in enumerate(self.nonlinearity or ("K2", "K3"), 2)
         )
+        within = f", which has u = {self.temperature_u}" if self.temperature_u else ""
         return (
             f"u and covariance of a hold up to 1 g; above, add the block's nonlinearity, {terms} of each axis "
-            "(k = 1), by 'bench budget'"
+            f"(k = 1), by 'bench budget'; they hold at the block temperature stated here{within}"
         )
 
     @property

@@ -181,6 +181,10 @@ class UnitResult(ResultModel):
         made = f"{len(self.runs)} runs, {len(self.calibrations)} calibrations compared"
         out.print(f"{self.unit}: {made}{', SIMULATED' if self.simulated else ''}", style="bold")
         if self.calibrations:
+            last = self.calibrations[-1]
+            out.print(
+                f"U = K a + U0, K per local g of the last calibration, {last.g_m_s2:.6g} m/s², U in {last.unit}"
+            )
             shown = table(
                 "coefficient", ">last", ">U (k=2)", ">since the one before", ">since the first", "unit"
             )

@@ -61,8 +61,8 @@ class AxisPart(ResultModel):
     """The accelerometer of one channel."""
 
     quantities: dict[str, QuantityPart]
-    """K0 (bias), K1 (scale factor), the two misalignment angles with the sign of the paper, and the requested
-    nonlinear terms that are determined
+    """K0 (bias of a, U0/K1), K1 (scale factor K_ii with its sign), the two misalignment angles α_ji (rad), and the
+    requested nonlinear terms that are determined. K_ij = K_ii α_ji for ij = xy, yz, zx, else −K_ii α_ji
     """
     rank: int = Field(description="number of `terms` that the orientations determine")
     terms: list[str] = Field(description="requested terms, linear ones first")

@@ -32,7 +32,9 @@ class MonitorResult(ResultModel):
     """A series of monitor runs: the first `baseline` runs set the limits; the later runs are judged."""
 
     order: list[str]
-    """names of the values: bx (g) and Sx (`unit`/g) for each axis that was turned; theta_xz (deg) for two axes"""
+    """names of the values: bx (g, with the sign of the signal) and Sx (`unit`/g) for each axis that was turned;
+    theta_xz (deg) for two axes
+    """
     unit: str = Field(description="unit of the signals")
     baseline: int
     limit_t2: float

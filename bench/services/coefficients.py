@@ -194,6 +194,7 @@ def block_result(data: Any, where: str) -> BlockResult:
     stated = {name: data["coefficients"][name] for name in COEFFICIENTS}
     factors = [_positive(entry.get("k")) for entry in stated.values()]
     expanded = {name: _positive(entry.get("U")) for name, entry in stated.items()}
+    sizes, listed = _sizes(data), data.get("notes")
     return BlockResult(
         block=taken.block,
         covariance=taken.covariance,
@@ -217,7 +218,9 @@ def block_result(data: Any, where: str) -> BlockResult:
         signs=_signs(data),
         fits=taken.fits,
         effects=tuple(_left_out(data)),
-        nonlinearity=_nonlinearity(data),
+        nonlinearity=(sizes["K2"], sizes["K3"]) if sizes.keys() >= {"K2", "K3"} else (),
+        notes=tuple(note for note in map(_text, listed if isinstance(listed, list) else ()) if note),
+        temperature_u=sizes.get("temperature", ""),
     )
 
 
@@ -258,15 +261,16 @@ def _holds_at(data: Any) -> float:
     return math.nan if used else _number_or(math.nan, data.get("temperature_c"))
 
 
-def _nonlinearity(data: Any) -> tuple[str, ...]:
-    """Return u of the block's K2 and K3 in words, such as "30 ug/g^2"; empty if the result does not state both."""
+def _sizes(data: Any) -> dict[str, str]:
+    """Return u in words of K2, K3 and the temperature of the block, as far as a result states them."""
     listed = data.get("sources")
     rows = [one for one in listed if isinstance(one, Mapping)] if isinstance(listed, list) else []
-    sizes = {one.get("name"): _text(one.get("size")) for one in rows}
-    words = [
-        sizes.get(name, "").replace("µ", "u").replace("²", "^2").replace("³", "^3") for name in ("K2", "K3")
-    ]
-    return tuple(words) if all(words) else ()
+    plain = str.maketrans({"µ": "u", "²": "^2", "³": "^3", "±": "+-", "σ": " sigma"})
+    sizes = {_text(one.get("name")): _text(one.get("size")).translate(plain) for one in rows}
+    for one in rows:
+        if one.get("name") == "temperature":
+            sizes["temperature"] += f" ({_text(one.get('origin')).translate(plain)})"
+    return sizes
 
 
 def _left_out(data: Any) -> Iterator[FittedEffect]:

@@ -30,7 +30,12 @@ def test_a_run_in_every_form_each_in_its_folder_with_what_it_loses(finished):
     assert (status, err) == (0, "")
     assert out.splitlines()[0].startswith("bench file: paper-stand")
     assert "SIMULATED" in out
-    assert "nonlinearity, 30 ug/g^2 a^2 and 20 ug/g^3 a^3 of each axis" in " ".join(out.split())
+    plain = " ".join(out.split())
+    assert "nonlinearity, 30 ug/g^2 a^2 and 20 ug/g^3 a^3 of each axis" in plain
+    assert (
+        "block temperature stated here, which has u = 0.289 K (no band stated: +-0.5 K; 17.3 ug/K and"
+        in plain
+    )
     written = {path.name for path in Path("runs/finished").glob("coefficients*")}
     assert written == {f"coefficients{form.suffix}" for form in FORMS.values()}
     assert out.count("|a| is off by up to 13 mg, the vector a by up to 22 mg") == 2
@@ -193,7 +198,11 @@ def test_a_result_that_used_temperature_is_written_without_it_only_on_request(be
 def test_an_unfit_calibration_is_written_as_such_and_not_accepted(bench):
     """The engineer who takes the file alone sees that the readings contradict the model."""
     told = json.loads((RECORDS / "calibrate.json").read_text())
-    told |= {"fits": False, "effects": {"quadratic_nonlinearity.K2[x]": _effect(400.0, "ug/g^2")}}
+    told |= {
+        "fits": False,
+        "notes": ["readings span 75 K"],
+        "effects": {"quadratic_nonlinearity.K2[x]": _effect(400.0, "ug/g^2")},
+    }
     Path("unfit.json").write_text(json.dumps(told))
     status, out, _ = bench("coefficients", "unfit.json", "--as", "c", "--json", "out.json")
     assert status == 1
@@ -201,6 +210,7 @@ def test_an_unfit_calibration_is_written_as_such_and_not_accepted(bench):
     for text in (out, header):
         assert "NOT ACCEPTED" in text
         assert "quadratic_nonlinearity.K2[x] = 400 ug/g^2" in text
+        assert "note 1: readings span 75 K" in text
     result = json.loads(Path("out.json").read_text())
     keeps_to("coefficients", result)
     assert not result["fits"]

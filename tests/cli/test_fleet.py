@@ -308,6 +308,7 @@ def test_real_calibrations_are_not_mixed_with_simulated_ones(synced):
     keeps_to("catalogue-sync", json.loads(Path("sync.json").read_text()))
     _, out, _ = synced("catalogue", "unit", "17")
     assert "7 runs, 6 calibrations compared" in out
+    assert "K per local g of the last calibration, 9.81" in out
     assert "without 1 calibrations of simulated runs" in out
 
 

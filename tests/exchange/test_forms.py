@@ -317,10 +317,9 @@ def test_every_form_says_of_which_block_when_with_which_g_and_what_its_u_holds(f
 @pytest.mark.parametrize("form", FORMS)
 def test_every_form_names_a_misfit_and_the_effects_that_it_leaves_out(form):
     effect = FittedEffect("quadratic_nonlinearity.K2[x]", 390.135, 18.1, "ug/g^2")
-    text = seen(
-        form,
-        BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", fits=False, effects=(effect,), temperature_c=20.0),
-    )
+    about = {"fits": False, "effects": (effect,), "temperature_c": 20.0, "notes": ("readings span 75 K",)}
+    text = seen(form, BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", **about))
+    assert "readings span 75 K" in text
     assert "quadratic_nonlinearity.K2[x]" in text
     assert "390.135" in text
     assert NOT_ACCEPTED in text or '"fits": false' in text
