@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime, time
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import Any, Final
 
@@ -531,10 +531,13 @@ def _judged(
             "compare with; measure it again",
         )
     last = verdicts[-1]
-    age_s = max(0.0, (now - last.when).total_seconds())
+    age_s = (now - last.when).total_seconds()
     if not last.accepted:
         said = f"the last run of the check block, {last.run}, is OUT OF CONTROL: {'; '.join(last.reasons)}"
-        return CheckBefore("out of control", said, last.run, age_s)
+        return CheckBefore("out of control", said, last.run, max(0.0, age_s))
+    if age_s < 0.0:  # it would be the last run, and fresh, until the clock has caught up
+        dated = f"{last.when.astimezone(UTC):%Y-%m-%d %H:%M} UTC, later than now; set the computer's clock"
+        return CheckBefore("missing", f"the last run of the check block, {last.run}, is dated {dated}")
     newest = found[-1].name
     if newest != last.run and newest not in {run.name for run in chart.chart.baseline}:
         return CheckBefore(
