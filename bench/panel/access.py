@@ -29,6 +29,7 @@ from bench.run.events import RecordError
 from bench.services import persons as laboratory
 from bench.services.persons import Persons, checked_name, persons_of
 from bench.services.requests.documents import Right
+from bench.services.requests.shared import runs_to_type
 from bench.services.validated import laboratory_known
 from drivers.clock import utc_now
 
@@ -365,9 +366,8 @@ class Access:
         token = secrets.token_urlsafe(32)
         with self._tokens.changed() as rows:
             if any(row["name"] == name for row in rows):
-                raise RecordError(
-                    f"{name}: already has a token; use 'bench panel revoke {as_typed(name)}' first"
-                )
+                whose = f"{as_typed(name)}{runs_to_type(self._tokens.path.parent.parent)}"
+                raise RecordError(f"{name}: already has a token; use 'bench panel revoke {whose}' first")
             rows.append(
                 {"name": name, "role": role.value, "sha256": _hash(token), "made": self._now().isoformat()}
             )

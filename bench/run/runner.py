@@ -437,6 +437,8 @@ class Runner:
 
     def _redo(self, control: RunControl, index: int) -> int:
         """Repeat the last point, or its whole pass, from its first turn; return the step to continue with."""
+        if self._workbench.platform_moved:
+            return self._refuse(control, index, message("the platform was levelled since the last point"))
         found = redo_from(self.plan, self.progress, control.wish, index)
         if found is None:
             return self._refuse(

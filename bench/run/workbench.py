@@ -86,7 +86,8 @@ class Levelling:
     """One levelling of the platform with the level of a bench.
 
     `setting_u_rad` is the standard uncertainty of a head setting. `zero` is the level's own zero offset, None until
-    it is known; `carry_out` updates it. `position` is the head's last position.
+    it is known; `carry_out` updates it. `position` is the head's last position. `moved` says whether the person has
+    set the platform's screws.
     """
 
     instruments: Instruments
@@ -94,6 +95,7 @@ class Levelling:
     setting_u_rad: float
     zero: Inclination | None = None
     position: HeadPosition | None = field(default=None, init=False)
+    moved: bool = field(default=False, init=False)
 
     def carry_out(self, step: Level) -> Levelled:
         """Level the platform if the step requires it; measure and return the remaining tilt angles.
@@ -142,6 +144,7 @@ class Levelling:
                 },
             ),
         )
+        self.moved = True
 
     def _set_head(self, step: Level, number: int) -> HeadPosition:
         head = self.instruments.head
@@ -270,7 +273,8 @@ class Workbench:
     `visits` maps (series, installation) to the series number of later readings if the block was remounted during
     that series. `power` controls the block's supply, where there is one. `tell` records an event. `between_naps` is
     called repeatedly during waits. `temperature_c` is the temperature last read or entered by a person;
-    `demanded_c` is the chamber's last set point.
+    `demanded_c` is the chamber's last set point. `platform_moved` says whether the platform was levelled since the
+    last point.
     """
 
     bench: BenchSetup
@@ -283,6 +287,7 @@ class Workbench:
     power: UnitPower | None = None
     temperature_c: float | None = field(default=None, init=False)
     demanded_c: float | None = field(default=None, init=False)
+    platform_moved: bool = field(default=False, init=False)
     _reference_v: float | None = field(default=None, init=False)
     _position: HeadPosition | None = field(default=None, init=False)
     _settings: VoltmeterSettings | None = field(default=None, init=False)
@@ -371,14 +376,17 @@ class Workbench:
 
     def do_turn(self, step: Turn) -> Turned:
         """Turn the head to the step's target angle; return the target and the angle read back, degrees."""
-        head = self.instruments.head
+        self.platform_moved, head = False, self.instruments.head
         self._position = checked_position(head, head.move(step.target_rad, step.direction, step.key))
         return Turned(_degrees(self._position.angle_rad), _degrees(step.target_rad))
 
     def do_level(self, step: Level) -> Levelled:
         """Level the platform if the step requires it, and measure its remaining tilt."""
         levelling = Levelling(self.instruments, self.person, self.bench.setting_u_rad, self._level_zero)
-        found = levelling.carry_out(step)
+        try:
+            found = levelling.carry_out(step)
+        finally:
+            self.platform_moved |= levelling.moved
         self._position, self._level_zero = levelling.position, levelling.zero
         return found
 

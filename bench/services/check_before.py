@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
@@ -82,11 +82,17 @@ def _judged(
         )
         return CheckBefore("missing", said)
     last = verdicts[-1]
-    age_s = max(0.0, (now - last.when).total_seconds())
+    age_s = (now - last.when).total_seconds()
     if not last.accepted:
         reasons = "; ".join(last.reasons)
         said = message(f"the last run of the check block, {last.run}, is OUT OF CONTROL: {reasons}")
-        return CheckBefore("out of control", said, last.run, age_s)
+        return CheckBefore("out of control", said, last.run, max(0.0, age_s))
+    if age_s < 0.0:  # it would be the last run, and fresh, until the clock has caught up
+        said = message(
+            f"the last run of the check block, {last.run}, is dated {last.when.astimezone(UTC):%Y-%m-%d %H:%M} UTC, "
+            "later than now; set the computer's clock"
+        )
+        return CheckBefore("missing", said)
     newest = found[-1].name
     if newest != last.run and newest not in {run.name for run in chart.chart.baseline}:
         notes = "; ".join(chart.notes)

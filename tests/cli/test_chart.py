@@ -117,6 +117,8 @@ def test_what_the_check_says_of_a_run(there, monkeypatch):
     assert said(4, 2.0).state == "in control"
     assert said(4, 25.0).state == "too old"
     assert "25.0 h old; it is valid for 24 h" in said(4, 25.0).sentence or "1 d" in said(4, 25.0).sentence
+    assert said(4, -1.0).state == "missing"
+    assert "later than now; set the computer's clock" in said(4, -1.0).sentence
     assert said(5, 1.0).state == "out of control"
     assert said(0, 1.0).state == "missing"
     assert "measure it again" in said(1, 1.0).sentence

@@ -23,6 +23,9 @@ def test_a_token_is_told_once(bench):
     assert token not in bench("panel", "tokens")[1]
     assert "anna  viewer" in bench("panel", "tokens")[1]
     assert not [file for file in Path("runs", STATE).iterdir() if token in file.read_text()]
+    elsewhere = ("panel", "token", "anna", "--runs", "my runs")
+    assert bench(*elsewhere)[0] == 0
+    assert "use 'bench panel revoke anna --runs 'my runs'' first" in bench(*elsewhere)[2]
     assert bench("panel", "revoke", "anna")[0] == 0
     assert bench("panel", "tokens")[1] == "nobody has a token\n"
 

@@ -101,7 +101,7 @@ def test_a_revoked_token_ends_its_sessions(runs):
 def test_a_person_has_one_token(runs):
     access = Access(runs / STATE)
     access.new_token("anna", Role.VIEWER)
-    with pytest.raises(RecordError, match="'bench panel revoke anna' first"):
+    with pytest.raises(RecordError, match=r"'bench panel revoke anna --runs .*runs' first"):
         access.new_token(" anna ", Role.SUPERVISOR)
 
 

@@ -1,15 +1,22 @@
 """The platform is levelled: what the record says of it is true, and asked again where it cannot be."""
 
+from contextlib import closing
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from bench.base.arrays import ARCSEC
-from bench.config.procedure.plan import Level
-from bench.run.events import result_from_json, result_to_json
+from bench.config.procedure.plan import Level, Plan
+from bench.run.events import Wish, result_from_json, result_to_json
 from bench.run.instruments import Instruments
+from bench.run.person import OperatorWish, RunControl
 from bench.run.workbench import Levelling
 from benchmarks.levelling import Platform, levellings
-from drivers.interfaces import BadReading, BenchError, LimitExceeded
+from drivers.interfaces import BadReading, BenchError, Identity, Inclination, LimitExceeded
+from sim.world.clock import VirtualClock
+from tests.support.runner_bench import Bench, Person, instruments, make_plan, new_record, recorded, runner_of
 
 
 def bench(platform, setting_u_rad=0.0):
@@ -117,3 +124,42 @@ def test_a_bench_without_a_level_says_so():
     platform = quiet()
     with pytest.raises(BenchError, match="the bench has no level"):
         Levelling(Instruments([], platform), platform, 0.0).carry_out(Level("1/level", "1", 1))
+
+
+class Screws:
+    """A level that finds the platform level; at its first reading the person gives a wish instead."""
+
+    name, asks_person = "level", True
+    sizes = SimpleNamespace(reading_rad=1e-6, scale=0.0, cross=0.0)
+
+    def __init__(self, wish):
+        self.wishes = [wish]
+
+    def open(self):
+        return Identity("manual", "level")
+
+    def close(self):
+        pass
+
+    def inclination(self, key, *, turned):
+        if self.wishes:
+            raise OperatorWish(RunControl(self.wishes.pop(), by_person=True))
+        return Inclination(0.0, 0.0)
+
+
+@pytest.mark.parametrize("wish", [Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.MOUNT_AGAIN])
+@pytest.mark.parametrize("adjusted", [True, False])
+def test_no_point_is_repeated_on_a_platform_that_was_levelled_since(tmp_path, wish, adjusted):
+    """Its reading would stand among those on the platform as it stood before."""
+    steps = [*make_plan().steps]
+    at = next(i for i, step in enumerate(steps) if step.key == "m2")
+    steps.insert(at, Level("level", "2", 1, 1, 10.0 * ARCSEC if adjusted else None))
+    with closing(new_record(tmp_path)) as record:
+        bench_of = Bench()
+        having = replace(instruments(bench_of), level=Screws(wish))
+        runner_of(Plan("test", tuple(steps), ""), having, Person(bench_of), VirtualClock(), record).run()
+    events = [*recorded(tmp_path / "run")[0].events]
+    assert [e.type for e in events if e.type in {"redo", "wish_refused"}] == [
+        "wish_refused" if adjusted else "redo"
+    ]
+    assert recorded(tmp_path / "run")[1][-3:] == ["r21", "r22", "r23"]

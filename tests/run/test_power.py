@@ -12,9 +12,10 @@ from bench.run.person import Controls, RunControl
 from bench.run.power import SET_AGAIN, RailFault
 from bench.run.record import Record, resume_point
 from bench.run.runner import RunAborted
-from drivers.interfaces import BenchError, OutputSettings
+from drivers.interfaces import BenchError, NoAnswer, OutputSettings
 from drivers.person import Answer
 from sim.world.clock import VirtualClock
+from tests.run.test_way_out import Deciding, in_doubt_at
 from tests.support.fed_runs import Supply, fed_runner, found_on
 from tests.support.runner_bench import NOON, PLAN, READS, STOP, Bench, Meter, Wishing, new_record, recorded
 
@@ -418,6 +419,21 @@ def test_a_run_that_goes_on_with_the_block_on_all_the_time_is_one_visit(taken_up
     assert switched(again) == []
     assert {reading["series"] for reading in readings} == {1}
     assert not [event for event in history.events if event.type == "remounted"]
+
+
+def test_a_reading_in_doubt_is_asked_about_before_the_block_is_warmed_up(run, tmp_path):
+    """The question came after the warm-up."""
+    supply, bench = Supply(VirtualClock()), Bench()
+    _, _, stopped = run(supply, bench=bench, watch=in_doubt_at("r12"), decider=Deciding(bench))
+    assert isinstance(stopped, NoAnswer)
+    again, bench = Supply(VirtualClock()), Bench()
+    record, history = Record.reopen(tmp_path / "run", lambda: NOON)
+    options = {"progress": history.progress.copy(), "decider": Deciding(bench, "redo point")}
+    with contextlib.closing(record):
+        fed_runner(bench, record, again, **options).run(resume_point(PLAN, history))
+    events = recorded(tmp_path / "run")[0].events
+    told = [e.type for e in events if e.type in {"redo", "power", "warmed_up", "step_done"}]
+    assert told[told.index("redo") :][:4] == ["redo", "power", "warmed_up", "step_done"]
 
 
 def test_a_rail_that_came_back_by_itself_is_another_visit_all_the_same(run, taken_up):
