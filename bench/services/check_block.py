@@ -221,7 +221,7 @@ def chart_of(
             "include the u of both values of g; runs of one place show smaller changes",
         )
     taken = {one.name: one.check_run(section.between_runs, g) for one in values}
-    baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
+    baseline, later, reference = _parts(taken, section, of_bench, folder, values[0])
     try:
         (nine, on_basis), (twelve, _) = (
             _charted(baseline, later, reference, section, in_nine=which) for which in (True, False)
@@ -302,10 +302,8 @@ def _basis(
             break
     if basis == wanted:
         return basis, ()
-    need = least_runs(wanted, count)
-    return basis, (
-        f"give limits from '{basis}' until the baseline has {need} runs, for '{wanted}': it has {baseline}",
-    )
+    until = f"until the baseline has {least_runs(wanted, count)} runs, for '{wanted}': it has {baseline}"
+    return basis, (f"give limits from '{basis}' {until}",)
 
 
 def _parts(
@@ -313,8 +311,7 @@ def _parts(
     section: CheckBlockSection,
     of_bench: Path | None,
     folder: Path,
-    g_m_s2: float,
-    gravity_u: float,
+    first: CheckValues,
 ) -> tuple[list[CheckRun], list[CheckRun], Reference | None]:
     """Return the baseline runs, the later runs, and the reference that replaces the baseline (or None)."""
     runs = list(taken.values())
@@ -325,10 +322,11 @@ def _parts(
                 "check_block: reference: a result of 'bench calibrate --json' is listed with other entries; "
                 "state this result alone, or runs alone"
             )
-        return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2, gravity_u)
+        return [], runs, _reference((of_bench or Path()).parent / files[0], first.g_m_s2, first.gravity_u)
     if section.reference:
         named = [
-            taken.get(name) or check_values(find_run(name, folder)).check_run(section.between_runs, g_m_s2)
+            taken.get(name)
+            or check_values(find_run(name, folder)).check_run(section.between_runs, first.g_m_s2)
             for name in section.reference
         ]
         names = {run.name for run in named}
