@@ -50,6 +50,8 @@ ANGLE: Final = "angle of a setting"
 VISIT_ANGLE: Final = "angle of a visit"
 PASS_ANGLE: Final = "angle of a pass"
 PASS_GAIN: Final = "gain of a pass"
+READING_GAIN: Final = "gain of a reading"
+GAINS: Final = (PASS_GAIN, READING_GAIN)
 ROUNDED: Final = "rounding"
 DRIFT: Final = "drift"
 
@@ -105,9 +107,7 @@ def take_in(
 
 def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErrorFit:
     conditions, n = problem.conditions, len(problem.conditions)
-    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats":
-        return SharedErrorFit(fit)
-    if _is_rounded(fit.noise, floor):
+    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats" or _is_rounded(fit.noise, floor):
         return SharedErrorFit(fit)
     basic = _basic(fit)
     base = len(basic)
@@ -251,8 +251,8 @@ def _basic(fit: Fit) -> list[_Term]:
 def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
     """Yield the candidate components.
 
-    Setting, visit, and the angles of a setting, visit and pass have one variance for all channels; pass, gain of
-    a pass, and drift have one per channel.
+    Setting, visit, and the angles of a setting, visit and pass have one variance for all channels; pass, drift, and
+    the gain of a pass or reading have one per channel. A gain of each reading is noise that grows with the signal.
     """
     settings = repeat_groups(conditions)
     passes = _labels(conditions.mount, conditions.pass_number)
@@ -269,17 +269,24 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
         for c in range(3):
             yield _Term("pass", CHANNELS[c], _by_group(passes, sizes, [c], further), sizes[[c]])
         yield _Term(PASS_ANGLE, "all", _along(passes, fit.slope, angle, further), np.array([angle]))
-        without_bias = fit.system.jacobian[:, :, :9] @ fit.block.K.ravel()
-        for c in np.flatnonzero(without_bias.any(axis=0)).tolist():
-            of_channel = np.where(np.arange(3) == c, without_bias, 0.0)
-            gain = sizes[c] / rms(of_channel[:, c])
-            yield _Term(PASS_GAIN, CHANNELS[c], _along(passes, of_channel, gain, further), np.array([gain]))
+        yield from _gains(PASS_GAIN, passes, fit)
+    yield from _gains(READING_GAIN, np.arange(n), fit)
     shapes = _walk(conditions.elapsed_s)
     if shapes.shape[1]:
         for c in range(3):
             columns = np.zeros((3 * n + further, shapes.shape[1]))
             columns[c : 3 * n : 3] = shapes * sizes[c]
             yield _Term(DRIFT, CHANNELS[c], columns, sizes[[c]])
+
+
+def _gains(what: str, groups: Ints, fit: Fit) -> Iterator[_Term]:
+    """Yield the errors of gain of each channel, one error for each of the `groups` (n,)."""
+    without_bias = fit.system.jacobian[:, :, :9] @ fit.block.K.ravel()
+    for c in np.flatnonzero(without_bias.any(axis=0)).tolist():
+        of_channel = np.where(np.arange(3) == c, without_bias, 0.0)
+        gain = fit.noise.by_channel[c] / rms(of_channel[:, c])
+        columns = _along(groups, of_channel, gain, len(fit.system.free.left))
+        yield _Term(what, CHANNELS[c], columns, np.array([gain]))
 
 
 def _labels(*of: Ints) -> Ints:
@@ -353,6 +360,7 @@ def shared_later(
     passes = _labels(conditions.mount, conditions.pass_number)
     groups = {
         "setting": repeat_groups(conditions), "visit": _visits(conditions), "pass": passes, PASS_GAIN: passes,
+        READING_GAIN: np.arange(len(output)),
     }  # fmt: skip
     covariance = np.zeros((len(output),) * 2)
     for one in components:
@@ -360,7 +368,7 @@ def shared_later(
             continue
         size = one.size * widening(one.dof) * (noise / rms(noise) if one.channels == "all" else np.ones(3))
         concerned = np.array([one.channels in ("all", c) for c in CHANNELS])
-        moved = by_signal * size * concerned * (output if one.what == PASS_GAIN else 1.0)
+        moved = by_signal * size * concerned * (output if one.what in GAINS else 1.0)
         covariance += np.equal.outer(groups[one.what], groups[one.what]) * (moved @ moved.T)
     return covariance
 
@@ -473,7 +481,7 @@ _SHARED_BY: Final = {
     PASS_ANGLE: message("the readings of one pass"),
     PASS_GAIN: message("the readings of one pass"),
 }
-_UNITS: Final = {ANGLE: "rad", VISIT_ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1"}
+_UNITS: Final = {ANGLE: "rad", VISIT_ANGLE: "rad", PASS_ANGLE: "rad", PASS_GAIN: "1", READING_GAIN: "1"}
 
 
 def notes_on_noise(
@@ -568,14 +576,16 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
         own = [c for c in components if c.what == what]
         if what in {ANGLE, VISIT_ANGLE, PASS_ANGLE}:
             sizes = message(f"{own[0].size / ARCSEC:.2g} arcsec of the head")
-        elif what == PASS_GAIN:
+        elif what in GAINS:
             by_channel = ", ".join(f"{c.channels} {two_digits(c.size * 1e6)} ppm" for c in own)
             sizes = message(f"{by_channel} of the scale factor")
         elif own[0].channels == "all":
             sizes = f"{own[0].size:.2g} {unit}"
         else:
             sizes = ", ".join(f"{c.channels} {c.size:.2g} {unit}" for c in own)
-        if what == ROUNDED:
+        if what == READING_GAIN:
+            yield message(f"the noise grows with the signal ({sizes}); u includes it")
+        elif what == ROUNDED:
             yield message(
                 f"the last digit of the signals is coarse: repeats share a rounding error ({sizes}); u includes it"
             )
@@ -584,9 +594,7 @@ def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
                 f"the biases appear to drift over the run by {sizes} rms about their means; u includes it"
             )
         else:
-            yield (
-                message(
-                    f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
-                    "includes it"
-                )
+            yield message(
+                f"{_SHARED_BY[what]} seem to share an error ({sizes}), which repeats do not average; u "
+                "includes it"
             )

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, rms, u_of
+from bench.base.languages import message
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.components import note_on_prior
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
@@ -375,7 +376,11 @@ def temperature_model(
         curve=None if free is None else _curve(best, free),
         readings=len(body.sorted.rows),
         skipped=len(body.sorted.rows.skipped),
-        notes=(*_notes(body, plateaus, by_side), *note_on_prior(full.noise, body.sorted.rows.unit)),
+        notes=(
+            *_notes(body, plateaus, by_side),
+            *note_on_prior(full.noise, body.sorted.rows.unit),
+            *_on_growth(task, best),
+        ),
     )
 
 
@@ -536,3 +541,34 @@ def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> t
             "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
         )
     return tuple(notes)
+
+
+GROWS_P: Final = 0.001
+"""P-value below which a note says that the noise grows with the signal."""
+
+
+def _on_growth(task: ThermalProblem, found: ThermalFit) -> tuple[str, ...]:
+    """Return a note if the noise grows with the signal, which u leaves out.
+
+    The test is that of R. Koenker, J. Econometrics 17 (1981) 107, one-sided, for squared residuals and (K a)^2; it
+    holds for heavy tails, too.
+    """
+    coefficients = task.basis @ found.values.T
+    without_bias = row_outputs(coefficients, task.force(found.others)) - coefficients[:, 9:]
+    squared = whiten(found.residuals[:, :, None], found.slope, found.noise)[:, :, 0] ** 2
+    power = without_bias**2
+    about = [one - one.mean(axis=0) for one in (squared, power)]
+    size = np.prod([np.linalg.norm(one, axis=0) for one in about], axis=0)
+    if not np.all(size > 0):
+        return ()
+    z = np.sqrt(len(squared)) * np.sum(about[0] * about[1], axis=0) / size
+    p = float(special.ndtr(-np.sum(z) / np.sqrt(len(z))))
+    if p >= GROWS_P:
+        return ()
+    ratio = np.sqrt(np.sum(power * squared, axis=0) / np.sum(power, axis=0) / np.mean(squared, axis=0))
+    return (
+        message(
+            f"the noise grows with the signal (p = {p:.1g}): the readings give scale factors and their terms a u "
+            f"up to {np.max(ratio):.2g} times too small; 'bench calibrate' of one temperature includes it"
+        ),
+    )

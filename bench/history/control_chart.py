@@ -180,7 +180,8 @@ class CheckRun:
     """A calibration of the check block: `value` (12,), and `covariance` (12, 12) of errors that vary by run.
 
     `noise` (12,) is the part of u due to reading noise. `s` is the short-term standard deviation of a reading, with
-    `s_dof` degrees of freedom. Runs with the same `design` (plan) have equal covariances, except by chance.
+    `s_dof` degrees of freedom. Runs with the same `design` (plan and readings) have equal covariances, except by
+    chance.
     `meters` are the identities of the voltmeters. `of_meters` (12, 12) is the covariance due to their limits of
     error; it counts if no baseline run used these voltmeters, or if a `Reference` replaces the baseline. `lasting`
     (12, 12) is the covariance of all other errors that do not vary from run to run. `names` are the names of the
@@ -202,6 +203,11 @@ class CheckRun:
     names: tuple[str, ...] = ()
     place: float = 0.0
     of_gravity: Floats | float = 0.0
+
+    @property
+    def plan(self) -> str:
+        """The first word of `design`: runs of one plan have the same noise in a reading."""
+        return self.design.partition(" ")[0]
 
     def in_nine(self) -> CheckRun:
         """Return the run in the nine intrinsic numbers.
@@ -412,11 +418,20 @@ class _Runs:
     @cached_property
     def _pooled(self) -> dict[str, Floats]:
         """The covariance of each design of run, pooled over its baseline runs or else its later runs."""
-        return {
-            design: np.mean([run.covariance for run in runs if run.design == design], axis=0)
-            for runs in (self.later, self.baseline)
-            for design in {run.design for run in runs}
-        }
+        found = {}
+        for design in {run.design for run in (*self.baseline, *self.later)}:
+            own = [run for run in self.baseline if run.design == design]
+            own = own or [run for run in self.later if run.design == design]
+            found[design] = np.mean([run.covariance for run in own], axis=0) * self._noise_beside(own)
+        return found
+
+    def _noise_beside(self, own: Sequence[CheckRun]) -> float:
+        """Return the squared ratio of the noise of baseline runs of the same plan to that of runs of one design."""
+        alike = [run for run in self.baseline if run.plan == own[0].plan]
+        if not alike or not all(run.s_dof > 0 and run.s > 0 for run in (*alike, *own)):
+            return 1.0
+        ours, theirs = (np.mean([(run.s * widening(run.s_dof)) ** 2 for run in of]) for of in (alike, own))
+        return float(ours / theirs)
 
     def covariances(self, runs: Sequence[CheckRun]) -> Floats:
         """Return the pooled covariance of each run, (n, 12, 12)."""

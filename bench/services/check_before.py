@@ -89,8 +89,8 @@ def _judged(
         return CheckBefore("out of control", said, last.run, max(0.0, age_s))
     if age_s < 0.0:  # it would be the last run, and fresh, until the clock has caught up
         said = message(
-            f"the last run of the check block, {last.run}, is dated {last.when.astimezone(UTC):%Y-%m-%d %H:%M} UTC, "
-            "later than now; set the computer's clock"
+            f"the last run of the check block, {last.run}, is dated {last.when.astimezone(UTC):%Y-%m-%d %H:%M} "
+            "UTC, later than now; set the computer's clock"
         )
         return CheckBefore("missing", said)
     newest = found[-1].name

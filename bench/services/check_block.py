@@ -223,7 +223,7 @@ def chart_of(
             ),
         )
     taken = {one.name: one.check_run(section.between_runs, g) for one in values}
-    baseline, later, reference = _parts(taken, section, of_bench, folder, g, values[0].gravity_u)
+    baseline, later, reference = _parts(taken, section, of_bench, folder, values[0])
     try:
         (nine, on_basis), (twelve, _) = (
             _charted(baseline, later, reference, section, in_nine=which) for which in (True, False)
@@ -325,8 +325,7 @@ def _parts(
     section: CheckBlockSection,
     of_bench: Path | None,
     folder: Path,
-    g_m_s2: float,
-    gravity_u: float,
+    first: CheckValues,
 ) -> tuple[list[CheckRun], list[CheckRun], Reference | None]:
     """Return the baseline runs, the later runs, and the reference that replaces the baseline (or None)."""
     runs = list(taken.values())
@@ -337,10 +336,11 @@ def _parts(
                 "check_block: reference: a result of 'bench calibrate --json' is listed with other entries; "
                 "state this result alone, or runs alone"
             )
-        return [], runs, _reference((of_bench or Path()).parent / files[0], g_m_s2, gravity_u)
+        return [], runs, _reference((of_bench or Path()).parent / files[0], first.g_m_s2, first.gravity_u)
     if section.reference:
         named = [
-            taken.get(name) or check_values(find_run(name, folder)).check_run(section.between_runs, g_m_s2)
+            taken.get(name)
+            or check_values(find_run(name, folder)).check_run(section.between_runs, first.g_m_s2)
             for name in section.reference
         ]
         names = {run.name for run in named}

@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from bench.calibration import calibrate
-from bench.calibration.components import DRIFT, PASS_ANGLE, PASS_GAIN, VISIT_ANGLE
+from bench.calibration.components import DRIFT, PASS_ANGLE, PASS_GAIN, READING_GAIN, VISIT_ANGLE
 from bench.calibration.noise import rounding_variance
 from bench.readings.table import make_readings
 from bench.validation.paper_bench import ARCSEC, SETTING_U_RAD, STAND_U, TRUTH, U0, K, design, specific_force
@@ -24,8 +25,11 @@ def wander_of(case):
     return np.array(found)
 
 
-def calibrated(rng, block=(K, U0), angle_rad=0.0, gain=0.0, decimals=15):
-    """Simulate and calibrate a run; angle and gain (1 sigma) are errors that are new in each pass."""
+def calibrated(rng, block=(K, U0), angle_rad=0.0, gain=0.0, decimals=15, growing=0.0):
+    """Simulate and calibrate a run; angle and gain (1 sigma) are errors that are new in each pass.
+
+    A noise of the part `growing` of the signal is new in each reading.
+    """
     installation, pass_number, point, phi = design()
     mount = np.array([int(label) - 1 for label in installation])
     at = mount, np.array(pass_number) - 1
@@ -35,6 +39,8 @@ def calibrated(rng, block=(K, U0), angle_rad=0.0, gain=0.0, decimals=15):
     setting = turned + rng.normal(0.0, SETTING_U_RAD, len(phi))
     force = specific_force(installation, phi, *stand[mount].T, setting)
     signal = force @ block[0].T * scale + block[1] + rng.normal(0.0, 3e-5, force.shape)
+    if growing:
+        signal *= 1.0 + rng.normal(0.0, growing, signal.shape)
     readings = make_readings(installation, pass_number, point, phi, np.round(signal, decimals))
     return calibrate(readings, MODEL, STAND_U, 9.81)
 
@@ -124,6 +130,18 @@ def test_a_gain_that_changes_between_passes_enters_u():
     assert len(found) >= 36
     assert 1.0 - 4 * 0.13 < np.mean(np.square(found)) / 60e-6**2 < 1.25 * (1.0 + 4 * 0.13)
     assert np.sqrt(np.mean(np.square(off))) < 1.0 + 4 * 0.1
+
+
+@pytest.mark.slow
+def test_noise_that_grows_with_the_signal_enters_u_of_the_scale_factors():
+    """Seeds [47, k]: 30 uV near zero, 200 uV at 1 g. With one size, u of Kyy and Kzz was 1.6 times too small."""
+    z = []
+    for k in range(30):
+        found = calibrated(np.random.default_rng([47, k]), growing=1e-4)
+        assert READING_GAIN in [one.what for one in found.shared]
+        assert any(note.startswith("the noise grows with the signal (x ") for note in found.notes)
+        z.append((found.block.vector - TRUTH)[[4, 8]] / np.sqrt(np.diag(found.covariance_readings))[[4, 8]])
+    assert chi2.ppf(1e-4, 60) < np.sum(np.square(z)) < chi2.ppf(1 - 1e-4, 60)
 
 
 @pytest.mark.slow

@@ -192,6 +192,19 @@ def test_u_of_a_temperature_term_knows_that_the_block_was_mounted_anew_at_each_t
     assert chi2.ppf(1e-4, 10) < np.sum(np.square(z)) < chi2.ppf(1 - 1e-4, 10)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("growing", "told"), [(0.0, 0), (1e-4, 8)])
+def test_noise_that_grows_with_the_signal_is_told(growing, told):
+    """Seeds 70 to 77: noise of 20 uV near zero, 200 uV at 1 g; without growth, one note in a thousand runs."""
+    notes = 0
+    for seed in range(70, 78):
+        rng = np.random.default_rng([SEED, seed])
+        readings = simulate(rng, truth(rng, (1e-4,)), 2e-5, cycle=(0.0, 23.0, 50.0), growing=growing)
+        model = temperature_model([readings], MODEL, STAND_U, 9.81, degree=1)
+        notes += any(note.startswith("the noise grows with the signal (p = ") for note in model.notes)
+    assert notes == told
+
+
 def test_a_few_readings_without_repeats_take_the_noise_from_all_residuals():
     rng = np.random.default_rng([SEED, 59])
     polynomials = truth(rng, (1e-4,))

@@ -42,11 +42,13 @@ def simulate(
     hysteresis: np.ndarray | float = 0.0,
     drift_k: float = 0.2,
     roll_rad: float = 0.0,
+    growing: float = 0.0,
 ) -> Readings:
     """Simulate the procedure 'temperature': each installation is mounted once and taken through the cycle.
 
     `hysteresis` (12,) is the rising minus the falling branch; temperatures scatter by `drift_k` (1 sigma).
     Installation 2 has the cycle `cycle_2`, if given. The third mounting angle scatters by `roll_rad`.
+    `growing` is the noise in each reading as a part of the signal.
     """
     one, pass_number, point, phi = design(passes)
     columns: dict[str, list[Any]] = {
@@ -75,6 +77,8 @@ def simulate(
         force[:, 1:] = force[:, 1:] + roll[:, None] * force[:, :0:-1] * np.array([1.0, -1.0])
     at = coefficients(polynomials, temperature) + np.outer(columns["branch"], np.ones(12)) * hysteresis / 2
     signal = np.einsum("nij,nj->ni", at[:, :9].reshape(n, 3, 3), force) + at[:, 9:]
+    if growing:
+        signal = signal * (1.0 + rng.normal(0.0, growing, signal.shape))
     return make_readings(
         columns["label"],
         columns["pass"],
