@@ -64,7 +64,7 @@ class Probe(Effect):
         return np.full_like(seen.signal, self.constant)
 
 
-@pytest.mark.parametrize("wrong", [np.zeros(18), np.zeros((1, 5)), np.zeros((18, 3)), 0.0, None, "0"])
+@pytest.mark.parametrize("wrong", [np.zeros(18), np.zeros((1, 5)), np.zeros((18, 3)), 1.0, None, "0"])
 def test_an_addition_of_another_shape_is_refused_and_never_spread_over_rows(wrong):
     class Wrong(Probe):
         def addition(self, values, seen):

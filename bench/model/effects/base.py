@@ -340,6 +340,8 @@ class AppliedEffect:
         add to all rows or columns.
         """
         added = self.effect.addition(self.complete_values(), seen)
+        if isinstance(added, int | float) and added == 0:  # such as an empty sum
+            return np.zeros_like(seen.signal)
         if np.shape(added) != np.shape(seen.signal):
             shape = np.shape(added) or type(added).__name__
             raise EffectMistake(
