@@ -19,6 +19,7 @@ from drivers.interfaces import (
     Identity,
     Inclination,
     Instrument,
+    OutputState,
     Voltmeter,
     VoltmeterSettings,
 )
@@ -78,8 +79,10 @@ def _returns(instrument: Instrument, method: str, value: object, wanted: str) ->
 
 
 def checked_identity(instrument: Instrument, identity: Identity) -> Identity:
-    """Return the result of `open`. Raises `BenchError` if it is no `Identity`."""
+    """Return the result of `open`. Raises `BenchError` if it is no `Identity` of texts."""
     given: Identity = _of_type(instrument, "open", identity, Identity)
+    if not all(isinstance(part, str) for part in (given.maker, given.model, given.serial, given.firmware)):
+        raise _returns(instrument, "open", identity, message("an Identity of texts"))
     return given
 
 
@@ -144,6 +147,17 @@ def checked_inclination(level: Instrument, inclination: Inclination) -> Inclinat
     if not all(map(math.isfinite, angles)):
         raise _returns(level, "inclination", inclination, message("two angles"))
     return Inclination(*angles)
+
+
+def checked_states(supply: Instrument, states: Mapping[str, OutputState]) -> Mapping[str, OutputState]:
+    """Return the result of `state`. Raises `BenchError` if it is no dict of `OutputState`s with numbers."""
+    if not isinstance(states, Mapping):
+        raise _returns(supply, "state", states, message("the state of each output"))
+    for state in states.values():
+        given: OutputState = _of_type(supply, "state", state, OutputState)
+        for value in (given.voltage_v, given.current_a):
+            _number(supply, "state", value)
+    return states
 
 
 def _of_type(instrument: Instrument, method: str, value: Any, kind: type[Any]) -> Any:

@@ -12,6 +12,7 @@ from bench.base.text import duration
 from bench.config.bench_file.stand import DriftForm, RailSection, UnitSupplySection
 from bench.config.procedure.plan import Mount, Plan, Power, Read
 from bench.readings.columns import Rail
+from bench.run.driver_checks import checked_states
 from bench.run.events import EventType
 from bench.run.person import ask
 from bench.run.resume import PlanProgress
@@ -100,7 +101,7 @@ class UnitPower:
         except SetOtherwise as found:
             otherwise = found.cause
         else:
-            states = self.supply.state(key)
+            states = checked_states(self.supply, self.supply.state(key))
             on = [rail.name for rail in self.section.rails if self._of(states, rail).on]
             if not on:
                 self._switch_on(key, set_up=True)
@@ -225,7 +226,7 @@ class UnitPower:
 
     def look(self, key: str) -> Mapping[str, Rail]:
         """Return the measured voltage and current by rail. Raises `RailFault`, and the errors of `supply.state`."""
-        states = self.supply.state(key)
+        states = checked_states(self.supply, self.supply.state(key))
         self._looked_s = self.clock.now_s()
         wrong = [
             message(f"rail {rail.name} {what}")
@@ -291,7 +292,7 @@ class UnitPower:
                 action={"do": "ask"},
             )
             return ask(self.person, prompt) == STAYED_ON
-        states = self.supply.state(key)
+        states = checked_states(self.supply, self.supply.state(key))
         return not any(self._not_on(states, rail) for rail in self.section.rails)
 
     def _wrong(self, states: Mapping[str, OutputState], rail: RailSection) -> Iterator[str]:

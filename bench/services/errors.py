@@ -61,12 +61,13 @@ def expected(error: BaseException) -> bool:
     from bench.calibration import CalibrationError
     from bench.config.bench_file.file import FileMistakes
     from bench.model.effects import ExpressionError
+    from bench.model.effects.base import EffectMistake
     from bench.readings.csv import ReadingsError
     from bench.run.events import RecordError
     from drivers.interfaces import BenchError
 
     kinds: tuple[Any, ...] = (
-        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError,
+        FileMistakes, CalibrationError, ReadingsError, RecordError, BenchError, ExpressionError, EffectMistake,
     )  # fmt: skip
     return isinstance(error, kinds) or bool(missing(error))
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.model import AppliedEffect, Block, Conditions, Distribution, Effect, ForwardModel, Stage
+from bench.model.effects.base import EffectMistake
 from bench.model.geometry import COEFFICIENTS, INSTALLATION_1, INSTALLATION_2
 from bench.validation.paper_bench import TRUTH, U0, K, design, specific_force
 
@@ -61,6 +62,18 @@ class Probe(Effect):
     def addition(self, values, seen):
         self.seen = seen.signal.copy()
         return np.full_like(seen.signal, self.constant)
+
+
+@pytest.mark.parametrize("wrong", [np.zeros(18), np.zeros((1, 5)), np.zeros((18, 3)), 1.0, None, "0"])
+def test_an_addition_of_another_shape_is_refused_and_never_spread_over_rows(wrong):
+    class Wrong(Probe):
+        def addition(self, values, seen):
+            return wrong
+
+    with pytest.raises(
+        EffectMistake, match=r"^effect probe: its addition returns .*\(18, 5\); correct its class$"
+    ):
+        readings([AppliedEffect(Wrong(Stage.STAND, 0.0), {})])
 
 
 def test_stages_act_in_the_order_of_the_chain():

@@ -8,13 +8,30 @@ import pytest
 from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.run.assembly.instruments import Surroundings, instruments_of
-from bench.run.driver_checks import checked_inclination, checked_position, checked_temperature, named_fault
+from bench.run.driver_checks import (
+    checked_inclination,
+    checked_position,
+    checked_states,
+    checked_temperature,
+    named_fault,
+)
 from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.instruments.manual import ManualHead
-from drivers.interfaces import BadReading, BenchError, HeadPosition, Inclination, NoAnswer
+from drivers.interfaces import (
+    BadReading,
+    BenchError,
+    HeadPosition,
+    Identity,
+    Inclination,
+    NoAnswer,
+    OutputSettings,
+    OutputState,
+)
 from drivers.wire.visa import MessageSession
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import Bench, Head, Meter, Person, make_runner, new_record, recorded
+
+SETTINGS = OutputSettings(5.0, 1.0)
 
 
 @pytest.fixture
@@ -103,6 +120,13 @@ def test_an_identity_that_is_none_is_refused(stopped, monkeypatch):
     assert stopped()[0].startswith("head: its driver returns 'a head' from open, not Identity; ")
 
 
+def test_an_identity_with_a_number_is_refused(stopped, monkeypatch):
+    monkeypatch.setattr(Head, "open", lambda head: Identity("Turnwell", 3))
+    error = stopped()[0]
+    assert error.startswith("head: its driver returns Identity(")
+    assert "from open, not an Identity of texts; " in error
+
+
 @pytest.mark.parametrize("position", [0.5, None, HeadPosition(float("nan"), 1), HeadPosition(0.5, 0)])
 def test_a_position_without_angle_or_direction_is_refused(stopped, monkeypatch, position):
     monkeypatch.setattr(Head, "move", lambda *_: position)
@@ -125,6 +149,22 @@ def test_a_temperature_that_is_no_number_is_refused(shown):
 def test_an_inclination_that_is_none_is_refused(found):
     with pytest.raises(BenchError, match="from inclination"):
         checked_inclination(Head(Bench()), found)
+
+
+@pytest.mark.parametrize(
+    ("states", "words"),
+    [
+        ([5.0], r"returns \[5.0\] from state, not the state of each output"),
+        ({"P6V": 5.0}, "returns 5.0 from state, not OutputState"),
+        (
+            {"P6V": OutputState(True, OutputSettings(5.0, 1.0), "5.0", 0.1)},
+            "returns '5.0' from state, not a number",
+        ),
+    ],
+)
+def test_a_state_of_a_supply_that_is_none_is_refused(states, words):
+    with pytest.raises(BenchError, match=words):
+        checked_states(Head(Bench()), states)
 
 
 def test_numbers_of_numpy_become_plain(tmp_path):

@@ -31,6 +31,10 @@ class Stage(StrEnum):
     VOLTMETER_READING = "voltmeter reading"
 
 
+class EffectMistake(ValueError):
+    """An effect's class does not keep its promises; the text says which."""
+
+
 class Subsystem(StrEnum):
     """The part of the bench to which an effect belongs.
 
@@ -332,9 +336,18 @@ class AppliedEffect:
     def addition(self, seen: Seen) -> Floats:
         """Return what the effect adds to the signal at its stage, zero in rows where it does not act.
 
-        Shape and unit are those of `Effect.addition`.
+        Shape and unit are those of `Effect.addition`. Raises `EffectMistake` for another shape, which numpy would
+        add to all rows or columns.
         """
         added = self.effect.addition(self.complete_values(), seen)
+        if isinstance(added, int | float) and added == 0:  # such as an empty sum
+            return np.zeros_like(seen.signal)
+        if np.shape(added) != np.shape(seen.signal):
+            shape = np.shape(added) or type(added).__name__
+            raise EffectMistake(
+                f"effect {self.effect.name}: its addition returns {shape}, not an array of the signal's shape "
+                f"{np.shape(seen.signal)}; correct its class"
+            )
         if not self.installations:
             return added
         rows = self.rows(seen.conditions)
