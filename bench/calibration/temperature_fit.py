@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask, rms, u_of
+from bench.base.languages import message
 from bench.calibration.calibrate import usable_rows
 from bench.calibration.components import note_on_prior
 from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_columns, make_problem
@@ -499,11 +500,15 @@ def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> t
     notes = list(body.sorted.rows.notes)
     if any(plateau.value is None for plateau in plateaus):
         notes.append(
-            "some temperatures alone do not determine twelve coefficients; the polynomials use all "
-            "together, so that no single temperature checks them"
+            message(
+                "some temperatures alone do not determine twelve coefficients; the polynomials use all "
+                "together, so that no single temperature checks them"
+            )
         )
     if not by_side:
         notes.append(
-            "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
+            message(
+                "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
+            )
         )
     return tuple(notes)
