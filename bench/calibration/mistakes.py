@@ -446,12 +446,15 @@ def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float]
     return None
 
 
+ONE_UNIT: Final = message("convert them to one unit")
+
+
 def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequence[float] | None) -> None:
     """Raise `SpoiledFit` if some of the signals, but not all, are in another unit."""
     found = wrong_unit(readings, model, nominal)
     if found is not None and not found.whole:
         raise SpoiledFit(
-            f"{readings.source}: {found.words}; convert them to one unit",
+            f"{readings.source}: {found.words}; {ONE_UNIT}",
             "'bench diagnose' writes a corrected copy",
         )
 

@@ -137,8 +137,7 @@ def print_kit(result: KitResult, on: Console) -> None:
         same = result.transport_p >= CHANGED_P
         on.print(
             f"the block {'did not change' if same else 'CHANGED'} in transport, as the pilot's repeated "
-            f"calibrations show "
-            f"({probability(result.transport_p)})"
+            f"calibrations show ({probability(result.transport_p)})"
         )
     for drift in result.drifts:
         on.print(drift_words(drift, result.unit))

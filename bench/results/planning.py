@@ -11,7 +11,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.languages import message, translated
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import figures
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import table
@@ -142,8 +142,10 @@ class Requirements:
             style="bold",
         )
         if found.not_counted:
+            joint = translated(message("and", "heading"), HEADING)
+            left_out = f" {joint} ".join(map(translated, self.left_out))
             out.print(
-                f"not counted: {' and '.join(self.left_out)}: {found.k:g} u = {_micro(found.not_counted)} "
+                f"not counted: {left_out}: {found.k:g} u = {_micro(found.not_counted)} "
                 f"µ{found.unit} by itself"
                 f"{', MORE THAN THE ACCURACY' if found.not_counted > found.accuracy else ''}"
             )

@@ -145,8 +145,7 @@ NOT_PROVEN: Final = (
     message("that the clock is right: no time server was asked"),
     message(
         "that nobody changed a package's files later: 'require_validation: true' compares the program's "
-        "files and the "
-        "packages' lists of files"
+        "files and the packages' lists of files"
     ),
     message(
         "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement"

@@ -7,6 +7,7 @@ import pytest
 
 from bench.base.languages import speaking, translated
 from bench.base.tables import as_text, table
+from bench.calibration.mistakes import in_another_unit
 from bench.cli.app import main
 from bench.run.folder import Run
 from bench.run.person import OpenPrompt
@@ -125,9 +126,9 @@ def test_plans_and_evaluations_are_ukrainian_throughout(at_the_bench):
     assert "один прохід у встановленні 1T90, як у методиці «remount-90»" in at_the_bench(
         "check", "quick", "--bench", "my.yaml", status=0
     )
-    assert "прийнято за правдоподібними значеннями" in at_the_bench(
-        "budget", "quick", "--bench", "my.yaml", "--trials", "0", status=0
-    )
+    said = at_the_bench("budget", "quick", "--bench", "my.yaml", "--trials", "0", status=0)
+    assert "прийнято за правдоподібними значеннями" in said
+    assert "примітка: gravity: коефіцієнти на місцеве g" in said
     assert "контрольний блок: 3, " in at_the_bench(
         "run", "quick", "--dry-run", "--name", "unit", "--bench", "my.yaml", "--check-block", status=0
     )
@@ -137,3 +138,29 @@ def test_a_heading_is_translated_where_a_key_of_the_same_name_stays():
     with speaking("uk"):
         assert "крок" in as_text(lambda out: out.print(table("step")))
         assert translated("baseline: too long") == "baseline: too long"
+
+
+@pytest.mark.parametrize(
+    ("english", "ukrainian"),
+    [
+        (
+            in_another_unit("xyz", "pass 2", "V", 3),
+            "схоже, усі сигнали у проході 2 виражені в mV, а не в V: значення у 1000 разів завеликі; для "
+            "порівняння взято решту",
+        ),
+        (
+            in_another_unit("xy", "installation 1, pass 2", "V", -3),
+            "схоже, сигнали каналу x, y у встановленні 1, прохід 2 виражені не в тій одиниці, що зазначена: "
+            "значення у 1000 разів замалі; для порівняння взято решту",
+        ),
+        (
+            "channel x: scale factor 2.18 V/g, but the bench file announces -2.18 V/g; perhaps the signals "
+            "are in mV, not in V",
+            "канал x: масштабний коефіцієнт 2,18 V/g, але у файлі стенда зазначено -2,18 V/g; можливо, "
+            "сигнали в mV, а не в V",
+        ),
+    ],
+)
+def test_a_mistake_in_the_signals_is_told_in_ukrainian(english, ukrainian):
+    with speaking("uk"):
+        assert translated(english) == ukrainian
