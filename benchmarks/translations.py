@@ -2,9 +2,10 @@
 
     python -m benchmarks.translations
 
-Texts are the arguments of `message`, the words of refusals and faults (see `MARKS`), the arguments of `_` in
-scripts and in expressions of templates, the words of page templates, and titles, descriptions and reasons of the
-shipped procedures and bench files. A name that a page takes from a record or a file is an entry of a catalogue with
+Texts are the arguments of `message`, the words of refusals and faults, what a console prints, headings of tables
+(see `MARKS`), the arguments of `_` in scripts and in expressions of templates, the words of page templates, and
+titles, descriptions and reasons of the shipped procedures and bench files. A name that a page takes from a record
+or a file is an entry of a catalogue with
 the reference `names-shown`. `make lint` fails if one lacks a translation, if a translation has other blanks or
 elements than its text, if a catalogue has an unused text, if a word of the certificate lacks a language, or if the
 text of a `Prompt` is not marked.
@@ -23,7 +24,7 @@ import yaml
 from babel.messages.catalog import Catalog
 from babel.messages.pofile import read_po, write_po
 
-from bench.base.languages import ENGLISH, LANGUAGES, Entry
+from bench.base.languages import ENGLISH, HEADING, LANGUAGES, Entry
 from bench.base.template_texts import (
     ATTRIBUTE,
     ENGLISH_ONLY,
@@ -52,6 +53,9 @@ MARKS: Final = {
     "message": slice(0, 1),
     **dict.fromkeys(REFUSALS.split(), slice(0, 1)),
     **dict.fromkeys(("SpoiledFit", "DeviatingReadings"), slice(0, 2)),
+    "table": slice(None),
+    **dict.fromkeys(("print", "aside"), slice(None)),
+    "tracked": slice(1, 2),
     "ValueError": slice(0, 1),
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
@@ -59,6 +63,8 @@ MARKS: Final = {
 """The calls that mark texts for translation, with the places of these texts among their arguments."""
 IN_FILES: Final = (ROOT / "bench" / "config", ROOT / "bench" / "base" / "units.py")
 """The modules in which the text of a `ValueError` is on a file that people write."""
+OF_HEADINGS: Final = ("table", "tracked")
+"""The calls whose texts are headings of tables and of progress."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
 _MARKED: Final = re.compile(r"(?<![\w.])_\(")
 _LITERAL: Final = re.compile(r'"((?:[^"\\]|\\.)*)"')
@@ -123,8 +129,7 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
         if isinstance(node, ast.Assign) and file.parent == EFFECTS:
             if {"sentence", "shown_by"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
                 yield from _wordings(node.value)
-        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MARKS:
-            name = node.func.id
+        elif isinstance(node, ast.Call) and (name := _called(node.func)) in MARKS:
             if name == "ValueError" and not any(file.is_relative_to(one) for one in IN_FILES):
                 continue
             context = node.args[1:2] if name == "message" else []
@@ -132,9 +137,26 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
             try:
                 for text in node.args[MARKS[name]]:
                     for one in _wordings(text, given=name == "message"):
-                        yield Entry(one.english, one.plural, told)
+                        if name in OF_HEADINGS and LETTER.search(_BLANKS.sub("", one.english)):
+                            yield Entry(
+                                one.english.removeprefix(">"), "", HEADING
+                            )  # ">": aligned to the right
+                        elif name not in OF_HEADINGS and one.english:
+                            yield Entry(one.english, one.plural, told)
             except ValueError as error:
                 raise ValueError(f"{file.relative_to(ROOT)}, line {node.lineno}: {error}") from error
+
+
+def _called(function: ast.expr) -> str:
+    """Return the name of a function, also that of a method of a console `out` or of the module `printing`."""
+    match function:
+        case ast.Name(name) if name != "print":
+            return name
+        case ast.Attribute(ast.Name("out" | "on" | "printing"), name):
+            return name
+        case ast.Attribute(ast.Call(ast.Attribute(ast.Name("printing"), "console")), name):
+            return name
+    return ""
 
 
 def _wordings(node: ast.expr, *, given: bool = True) -> Iterator[Entry]:

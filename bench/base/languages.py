@@ -30,6 +30,9 @@ LANGUAGES: Final = {ENGLISH: "English", "uk": "Українська"}
 
 ENVIRONMENT: Final = "BENCH_LANGUAGE"
 
+HEADING: Final = "heading"
+"""Context of headings of tables and of progress: words that elsewhere may be keys or names, which stay."""
+
 _chosen: ContextVar[str | None] = ContextVar("language", default=None)
 
 
@@ -130,7 +133,7 @@ _BLANK: Final = re.compile(r"\{(\d+)\}")
 _TYPED: Final = re.compile(
     r"'bench [^']*'|: bench .*|'\{\d+\}'|(?:choose from|known:|known are|kept in|columns?) \{\d+\}"
     r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
-    r"|(?:shipped|latest|latest runs) are: .*"
+    r"|(?:shipped|latest|latest runs) are: .*|^\{0\}: assumed from plausible"
 )
 """The parts of an entry whose blanks hold what is typed or quoted (a command, path or key): their values stay."""
 
@@ -346,7 +349,8 @@ def texts_for_scripts(name: str) -> str:
     texts = [
         (one.english, one.plural, found.forms(one))
         for one in found.entries
-        if any(
+        if one.context != HEADING
+        and any(
             file.startswith(_OF_SCRIPTS + _OF_PROMPTS) and not file.endswith(".j2")
             for file in one.files.split()
         )

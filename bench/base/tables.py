@@ -10,9 +10,10 @@ from typing import Any, Final
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
 from bench.base.computing import quiet
-from bench.base.languages import message, translated
+from bench.base.languages import HEADING, message, shown, translated
 from bench.base.text import visible
 
 WIDTH: Final = 120
@@ -33,19 +34,24 @@ class Screen(Console):
 
 
 class _Rows(Table):
-    """A table whose cells show control characters as escapes; columns are as wide as the escaped text."""
+    """A table whose cells show control characters as escapes; columns are as wide as the escaped text.
+
+    Numbers and texts of several words are in the current language.
+    """
 
     def add_row(self, *cells: RenderableType | None, **options: Any) -> None:
-        super().add_row(*(visible(cell) if isinstance(cell, str) else cell for cell in cells), **options)
+        super().add_row(
+            *(visible(str(shown(cell))) if isinstance(cell, str) else cell for cell in cells), **options
+        )
 
 
 def table(*headings: str, no_wrap: bool = False) -> Table:
-    """Return an empty table; a heading that begins with ">" makes its column right-aligned, for numbers."""
+    """Return an empty table with translated headings; ">" begins that of a right-aligned column, for numbers."""
     made = _Rows(box=None, pad_edge=False)
     for heading in headings:
         right = heading.startswith(">")
         made.add_column(
-            heading.removeprefix(">"),
+            translated(heading.removeprefix(">"), HEADING),
             justify="right" if right else "left",
             no_wrap=no_wrap,
             overflow="fold",  # a path is never cut
@@ -59,7 +65,7 @@ def print_notes(out: Console, notes: Iterable[str], lead: str = "") -> None:
     The JSON and the page contain the notes, too. `lead` names the source among several.
     """
     for note in () if quiet.get() else notes:
-        out.print(f"{translated(message('note'))}: {lead}{translated(note)}")
+        out.print(Text(f"{translated(message('note'))}: {lead}{translated(note)}"))  # not translated twice
 
 
 def as_text(print_on: Callable[[Console], None]) -> str:

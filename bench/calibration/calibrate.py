@@ -449,10 +449,18 @@ def _assumed(problem: Problem, block: Block, gain: Floats, unit: str, *, stated:
     if not problem.upper:
         return assumptions(problem, block, gain[:FIXED], unit)
     return (
-        "common rotation of the block's axes: no free position shows it; by convention K is upper "
-        "triangular (axis z along channel z, axis y in the plane of channels y and z)",
-        "sign of each channel: no free position shows it; every scale factor "
-        + ("has the sign that the bench file states" if stated else "is stated positive"),
+        message(
+            "common rotation of the block's axes: no free position shows it; by convention K is upper "
+            "triangular (axis z along channel z, axis y in the plane of channels y and z)"
+        ),
+        message(
+            "sign of each channel: no free position shows it; every scale factor has the sign that the bench file "
+            "states"
+        )
+        if stated
+        else message(
+            "sign of each channel: no free position shows it; every scale factor is stated positive"
+        ),
         GAIN,
         GRAVITY,
     )

@@ -243,8 +243,10 @@ def _named(rows: Readings, far: Floats) -> str:
     worst = np.sort(np.argsort(-left, kind="stable")[: min(MOST_NAMED, count)])
     named = [message(f"all of installation {label}, pass {number}") for label, number in wrong]
     named += [_row_of(rows, int(i)) for i in worst]
-    said = " and ".join(named)
-    return message(f"{said} and {count - MOST_NAMED} more") if count > MOST_NAMED else said
+    if count > MOST_NAMED and not wrong:
+        first, second, third = named
+        return message(f"{first} and {second} and {third} and {count - MOST_NAMED} more")
+    return " and ".join(named) + (f" and {count - MOST_NAMED} more" if count > MOST_NAMED else "")
 
 
 def _deviation(problem: Problem, rows: Readings) -> Floats:
@@ -298,9 +300,7 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
     for i, (axis, announced) in enumerate(zip("xyz", nominal, strict=True)):
         found = float(result.block.K[i, i])
         most = "xyz"[int(np.argmax(np.abs(result.block.K[i])))]
-        said = message(
-            f"channel {axis}: scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g"
-        )
+        said = message(f"scale factor {found:.4g} V/g, but the bench file announces {announced:.4g} V/g")
         prefix = round(math.log10(abs(found / announced)) / 3) if found else 0
         if prefix and abs(math.log10(abs(found / announced)) - 3 * prefix) < 0.3:
             said = (
@@ -318,7 +318,7 @@ def implausible(result: Calibration, nominal: Sequence[float]) -> tuple[str, ...
             continue
         else:
             said = message(f"{said}; check that it is the block of the bench file")
-        sentences.append(said)
+        sentences.append(message(f"channel {axis}: {said}"))
     return tuple(sentences)
 
 
@@ -352,14 +352,6 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
     `part` names the affected part of the table ("pass 2"), empty for all of it; `unit` is the unit in the file.
     """
     everything = len(channels) == len(CHANNELS)
-    what = message("all signals") if everything else message(f"the signals of channel {', '.join(channels)}")
-    kind, _, labels = part.partition(" ")
-    if part:
-        what = (
-            message(f"{what} of pass {labels}")
-            if kind == "pass"
-            else message(f"{what} of installation {labels}")
-        )
     than = message("the others")
     if everything and not part:
         than = message("the data sheet, if that is of this block")
@@ -368,10 +360,22 @@ def in_another_unit(channels: Sequence[str], part: str, unit: str, tens: int) ->
     said = message(f"in {name}, instead of {unit}") if name else message("in another unit than stated")
     if left:
         said = message("read with another range or decimal point than stated")
+    if everything:
+        return message(
+            f"all signals{_of_part('', part)} seem to be {said}: they are {10 ** abs(tens)} times too "
+            f"{'large' if tens > 0 else 'small'} beside {than}"
+        )
     return message(
-        f"{what} seem to be {said}: they are {10 ** abs(tens)} times too "
-        f"{'large' if tens > 0 else 'small'} beside {than}"
+        f"the signals of channel {_of_part(', '.join(channels), part)} seem to be {said}: they are "
+        f"{10 ** abs(tens)} times too {'large' if tens > 0 else 'small'} beside {than}"
     )
+
+
+def _of_part(what: str, part: str) -> str:
+    kind, _, labels = part.partition(" ")
+    if kind == "pass":
+        return message(f"{what} of pass {labels}")
+    return message(f"{what} of installation {labels}") if part else what
 
 
 @dataclass(frozen=True)
@@ -442,12 +446,15 @@ def wrong_unit(readings: Readings, model: ForwardModel, nominal: Sequence[float]
     return None
 
 
+ONE_UNIT: Final = message("convert them to one unit")
+
+
 def refuse_mixed_units(readings: Readings, model: ForwardModel, nominal: Sequence[float] | None) -> None:
     """Raise `SpoiledFit` if some of the signals, but not all, are in another unit."""
     found = wrong_unit(readings, model, nominal)
     if found is not None and not found.whole:
         raise SpoiledFit(
-            f"{readings.source}: {found.words}; convert them to one unit",
+            f"{readings.source}: {found.words}; {ONE_UNIT}",
             "'bench diagnose' writes a corrected copy",
         )
 

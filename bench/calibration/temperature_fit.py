@@ -533,12 +533,16 @@ def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> t
     notes = list(body.sorted.rows.notes)
     if any(plateau.value is None for plateau in plateaus):
         notes.append(
-            "some temperatures alone do not determine twelve coefficients; the polynomials use all "
-            "together, so that no single temperature checks them"
+            message(
+                "some temperatures alone do not determine twelve coefficients; the polynomials use all "
+                "together, so that no single temperature checks them"
+            )
         )
     if not by_side:
         notes.append(
-            "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
+            message(
+                "no temperature was reached both rising and falling, so the uncertainty excludes hysteresis"
+            )
         )
     return tuple(notes)
 

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
+from bench.base.languages import message
 from bench.calibration import gls
 from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
 from bench.calibration.budget.whole import GRAVITY, acting_sources, without_meters
@@ -229,14 +230,14 @@ class Separable:
 
     def sentence(self) -> str:
         """Return a sentence on the number of determined terms, and on the terms that cannot be separated."""
-        counted = f"channel {self.channel}: {self.rank} of {len(self.asked)} terms are determined"
+        counted = message(f"channel {self.channel}: {self.rank} of {len(self.asked)} terms are determined")
         told = []
         for term, parts in self.inseparable.items():
             if not parts:
-                told.append(f"{term} shows in no reading")
+                told.append(message(f"{term} shows in no reading"))
             else:
                 shares = " and ".join(f"{share:+.3g} {name}" for name, share in parts.items())
-                told.append(f"{term} cannot be separated: 1 of it looks like {shares}")
+                told.append(message(f"{term} cannot be separated: 1 of it looks like {shares}"))
         return "; ".join([counted, *told])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from bench.base.computing import heard_by, quiet
-from bench.base.languages import message
+from bench.base.languages import HEADING, message, translated
 from bench.base.text import bounded, visible
 from bench.services.errors import Refused
 from drivers.clock import Clock, SystemClock
@@ -59,7 +59,7 @@ def table(*headings: str, no_wrap: bool = False) -> Table:
 def aside(*lines: str) -> None:
     """Print lines on standard error, to keep them apart from the result on standard output."""
     for line in lines:
-        print(visible(line), file=sys.stderr)
+        print(visible(translated(line)), file=sys.stderr)
 
 
 def notes_aside(notes: Iterable[str]) -> None:
@@ -171,8 +171,10 @@ def written(what: str, file: Path, out: Console | None = None) -> None:
     """Print where a file was written; for a what-if result, add that the run's own result is unchanged."""
     from bench.services.source import WHAT_IF
 
-    of = "" if file.parent.name != WHAT_IF else " of this what-if (the run's own stays)"
-    (out or console()).print(f"{what}{of}: {file}")
+    told = translated(what, HEADING)
+    if file.parent.name == WHAT_IF:
+        told = translated(message(f"{told} of this what-if (the run's own stays)"))
+    (out or console()).print(f"{told}: {file}")
 
 
 # --- what a result is made with ---------------------------------------------------------------------
@@ -256,7 +258,7 @@ def progress(console: Console | None = None, clock: Clock | None = None) -> Iter
         TextColumn("{task.description}"),
         BarColumn(),
         TimeRemainingColumn(),
-        TextColumn("left"),
+        TextColumn(translated(message("left", "heading"), HEADING)),
         console=console,
         transient=True,
         speed_estimate_period=_REMEMBERED_S,
@@ -265,8 +267,8 @@ def progress(console: Console | None = None, clock: Clock | None = None) -> Iter
     task = bar.add_task("…", total=None)
 
     def hear(what: str, done: int, total: int) -> None:
-        if what != bar.tasks[0].description:
-            bar.reset(task, description=what, total=total)
+        if (name := translated(what, HEADING)) != bar.tasks[0].description:
+            bar.reset(task, description=name, total=total)
         bar.update(task, completed=done, refresh=True)
 
     with bar, heard_by(hear):
@@ -293,9 +295,10 @@ def in_lines(clock: Clock | None = None) -> Iterator[None]:
         now_s = clock.now_s()
         if done and now_s - said_s >= EVERY_S:
             left_s = round((now_s - began_s) / done * (total - done))
-            print(
-                f"{done:,} of {total:,} {what}, {timedelta(seconds=left_s)} left", file=sys.stderr, flush=True
+            told = message(
+                f"{done:,} of {total:,} {translated(what, HEADING)}, {timedelta(seconds=left_s)} left"
             )
+            print(translated(told), file=sys.stderr, flush=True)
             said_s = now_s
 
     with heard_by(hear):

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Labels, rms, u_of
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 from bench.history.measured import ComparedCalibrations, coded
 from bench.model.geometry import COEFFICIENTS
@@ -173,23 +174,24 @@ class BenchOrBlock:
     def answer(self) -> str:
         """The sentence that attributes differences between calibrations to benches, blocks or both."""
         if all(len(one) == 1 for one in self.connected):
-            return (
+            return message(
                 "bench and block cannot be separated: no unit was measured on two benches; measure some "
                 "units on each"
             )
         shown = [name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.shown]
         apart = list(dict.fromkeys(one.name for one in self.benches_apart))
         if not shown and not apart:
-            return "the block: benches do not differ beyond the stated uncertainties"
-        named = f"; {', '.join(apart)} stands out" if len(apart) == 1 else ""
-        named = f"; {', '.join(apart)} stand out" if len(apart) > 1 else named
+            return message("the block: benches do not differ beyond the stated uncertainties")
+        names = ", ".join(apart)
         if not shown:
-            return f"mostly the block{named}"
+            return message(f"mostly the block; {names} stand{'s' if len(apart) == 1 else ''} out")
         whole = [
             name for name, s in zip(COEFFICIENTS, self.sizes, strict=True) if s.bench.value > s.unit.value
         ]
-        more = f", in {', '.join(whole)} more than blocks of a type do" if whole else ""
-        return f"both: benches differ in {', '.join(shown)}{more}{named}"
+        said = message(f"both: benches differ in {', '.join(shown)}")
+        if whole:
+            said = message(f"{said}, in {', '.join(whole)} more than blocks of a type do")
+        return message(f"{said}; {names} stand{'s' if len(apart) == 1 else ''} out") if apart else said
 
 
 def bench_or_block(measured: ComparedCalibrations) -> BenchOrBlock:
@@ -350,21 +352,29 @@ def _notes(crossing: Crossing, benches: Labels, sizes: tuple[Sizes, ...]) -> tup
     if len(alone):
         listed = ", ".join(benches[alone].tolist())
         notes.append(
-            f"no unit measured on {listed} was measured on another bench: its effect is unknown, only the "
-            "spread of its units"
+            message(
+                f"no unit measured on {listed} was measured on another bench: its effect is unknown, only the "
+                "spread of its units"
+            )
         )
     joined = np.bincount(crossing.component)
     if np.sum(joined > 1) > 1:
-        notes.append("no unit connects some sets of benches; effects are relative to the mean of each set")
+        notes.append(
+            message("no unit connects some sets of benches; effects are relative to the mean of each set")
+        )
     for words, names in (
         (
-            "units were not assigned to benches at random, so effects come only from units measured on "
-            "several benches",
+            message(
+                "units were not assigned to benches at random, so effects come only from units measured on "
+                "several benches"
+            ),
             [n for n, s in zip(COEFFICIENTS, sizes, strict=True) if not s.by_chance],
         ),
         (
-            "repeated calibrations scatter less than their stated uncertainty: a part is common to a "
-            "bench, and the stated uncertainty already covers such differences between benches",
+            message(
+                "repeated calibrations scatter less than their stated uncertainty: a part is common to a "
+                "bench, and the stated uncertainty already covers such differences between benches"
+            ),
             [
                 n
                 for n, s in zip(COEFFICIENTS, sizes, strict=True)

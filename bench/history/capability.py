@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.measured import ComparedCalibrations, coded
@@ -109,25 +110,35 @@ def _notes(found: tuple[CalibrationSpread, ...], of: Histories, *, several: bool
     notes = []
     if few == len(runs):
         notes.append(
-            f"no unit has {LEAST_RUNS} runs: the drift of units cannot be estimated and is part of the "
-            "scatter over time"
+            message(
+                f"no unit has {LEAST_RUNS} runs: the drift of units cannot be estimated and is part of the "
+                "scatter over time"
+            )
         )
     else:
         drifting = [name for name, one in zip(COEFFICIENTS, found, strict=True) if one.shown]
-        out = f"is taken out in {', '.join(drifting)}" if drifting else "is not shown in any coefficient"
-        notes.append(f"a drift of units {out}; elsewhere a possible drift is part of the scatter over time")
+        out = message("is not shown in any coefficient")
+        if drifting:
+            out = message(f"is taken out in {', '.join(drifting)}")
+        notes.append(
+            message(f"a drift of units {out}; elsewhere a possible drift is part of the scatter over time")
+        )
         if few:
             notes.append(
-                f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to estimate their "
-                "own drift; it is assumed as large as for the others"
+                message(
+                    f"{few} of {len(runs)} units have fewer than {LEAST_RUNS} runs, too few to estimate their "
+                    "own drift; it is assumed as large as for the others"
+                )
             )
     if many := int(np.sum(runs > of.longest)):
         notes.append(
-            f"{many} units have more than {of.longest} runs; {of.longest} of each, spread evenly in time, "
-            "give scatter and drift"
+            message(
+                f"{many} units have more than {of.longest} runs; {of.longest} of each, spread evenly in time, "
+                "give scatter and drift"
+            )
         )
     if not several:
-        notes.append("one bench alone: differences between benches are not included")
+        notes.append(message("one bench alone: differences between benches are not included"))
     return tuple(notes)
 
 
@@ -141,13 +152,17 @@ def _ranks(count: int, quantile: float) -> tuple[int, int]:
 def _refuse_short(crossing: Crossing, days: int, *, several: bool) -> None:
     lacks = []
     if len(crossing.unit) < LEAST_CALIBRATIONS:
-        lacks.append(f"{len(crossing.unit)} calibrations ({LEAST_CALIBRATIONS} are needed)")
+        lacks.append(message(f"{len(crossing.unit)} calibrations ({LEAST_CALIBRATIONS} are needed)"))
     if crossing.repeated < LEAST_REPEATS:
-        lacks.append(f"{crossing.repeated} repeated calibrations of a unit ({LEAST_REPEATS} are needed)")
+        lacks.append(
+            message(f"{crossing.repeated} repeated calibrations of a unit ({LEAST_REPEATS} are needed)")
+        )
     if days < LEAST_DAYS:
-        lacks.append(f"{days} days between the first and the last ({LEAST_DAYS} are needed)")
+        lacks.append(message(f"{days} days between the first and the last ({LEAST_DAYS} are needed)"))
     if several and len(crossing.alone()):
-        lacks.append("benches that share no unit with another (measure a unit of another bench on each)")
+        lacks.append(
+            message("benches that share no unit with another (measure a unit of another bench on each)")
+        )
     if lacks:
         raise CalibrationError(
             f"the history is too short for a statement of capability; more is needed: {'; '.join(lacks)}"

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, Mask
+from bench.base.languages import message
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
 from bench.history.comparison import LEAST_FOR_DRIFT, LEAST_SPAN, SECONDS_PER_YEAR
@@ -171,7 +172,11 @@ def drift_of_unit(measured: ComparedCalibrations) -> OfUnit:
         )
     notes: tuple[str, ...] = ()
     if len(benches) > 1:
-        notes = (f"measured on {', '.join(benches)}: differences between benches appear as drift or scatter",)
+        notes = (
+            message(
+                f"measured on {', '.join(benches)}: differences between benches appear as drift or scatter"
+            ),
+        )
     twelve, nine = (
         history_drift(
             of.when, of.vector, of.variance,
@@ -409,17 +414,19 @@ def due(
         return Due(by_interval, "interval", why, last, len(dates), limit_g, simulated=simulated)
     now = float(_expanded(drift, np.array([last]))[0])
     if now >= limit_g:
-        why = (
+        why = message(
             f"the last calibration leaves an error of {now:.2g} g (k = {COVERAGE_FACTOR:g}), more than the "
             f"{limit_g:.2g} g allowed: no interval is short enough"
         )
         return Due(last, "drift", why, last, len(dates), limit_g, now, now, simulated)
     day, error_g = _first_day(drift, last.astype("datetime64[D]"), limit_g)
     why = (
-        f"the expected error reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})"
+        message(f"the expected error reaches {limit_g:.2g} g then (k = {COVERAGE_FACTOR:g})")
         if error_g >= limit_g
-        else f"after {MOST_YEARS:g} years the expected error is still {error_g:.2g} g; the history predicts no "
-        "further"
+        else message(
+            f"after {MOST_YEARS:g} years the expected error is still {error_g:.2g} g; the history predicts no "
+            "further"
+        )
     )
     return Due(day, "drift", why, last, len(dates), limit_g, now, error_g, simulated)
 

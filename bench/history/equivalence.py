@@ -12,6 +12,7 @@ import numpy as np
 from scipy import linalg, optimize, special, stats
 
 from bench.base.arrays import Floats, Ints, u_of
+from bench.base.languages import message
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.intrinsic import INTRINSIC
 from bench.calibration.result import CalibrationError
@@ -332,7 +333,9 @@ def compare_benches(
     """
     (units, unit), (benches, bench) = coded(measured.unit), coded(measured.bench)
     days = int((measured.when.max() - measured.when.min()) / np.timedelta64(1, "D"))
-    drifted = f"over {days} days: changes of a unit between its calibrations appear as differences of benches"
+    drifted = message(
+        f"over {days} days: changes of a unit between its calibrations appear as differences of benches"
+    )
     return BenchComparison(
         benches=tuple(benches.tolist()),
         units=tuple(units.tolist()),

@@ -11,6 +11,7 @@ from scipy import linalg, sparse, special
 from scipy.sparse import csgraph
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats, Ints
+from bench.base.languages import message
 from bench.calibration.noise import KnownStand
 from bench.stats import contrasts_within
 
@@ -25,8 +26,8 @@ WAVE_NAMES: Final = (
     "head_eccentricity.cosine", "head_eccentricity.sine", "head_ellipticity.cosine", "head_ellipticity.sine",
 )  # fmt: skip
 NEVER: Final = (
-    "absolute gain of the voltmeters: 1 ppm of it is 1 ppm of every coefficient of every block",
-    "absolute zero of the voltmeters: it adds fully to the biases of every block",
+    message("absolute gain of the voltmeters: 1 ppm of it is 1 ppm of every coefficient of every block"),
+    message("absolute zero of the voltmeters: it adds fully to the biases of every block"),
 )
 
 
@@ -104,7 +105,9 @@ class Contradiction:
     @property
     def sentence(self) -> str:
         """The contradiction as a sentence."""
-        return f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times the expected size"
+        return message(
+            f"{self.run} contradicts the others: {self.what} is {self.size:.3g} times the expected size"
+        )
 
 
 @dataclass(frozen=True)
@@ -181,11 +184,11 @@ class Learned:
     def not_identified(self) -> list[str]:
         """Return a sentence for each quantity that these runs do not determine, with the reason."""
         told = [
-            f"{name}.remount: {why}; it keeps its prior, an unknown part of the stated limit"
+            message(f"{name}.remount: {why}; it keeps its prior, an unknown part of the stated limit")
             for name, why in self.not_told.items()
         ]
         told += [
-            f"{size.name}: the runs do not improve the bench file's value; it keeps its prior"
+            message(f"{size.name}: the runs do not improve the bench file's value; it keeps its prior")
             for size in self.sizes()
             if not size.told and size.name.endswith(".mean")
         ]
@@ -206,12 +209,12 @@ def _u(size: float, dof: float) -> float:
 
 LEAST_FREEDOM: Final = 2
 """Least degrees of freedom that separate a block's variation between runs from meter differences."""
-NOT_EXCHANGED: Final = (
+NOT_EXCHANGED: Final = message(
     "differences between the voltmeters: unknown, as no block was measured with exchanged voltmeters; "
     "measure three runs of one block (two of two blocks), each voltmeter on another channel"
 )
-ONE_METER: Final = "differences between the voltmeters: none: one voltmeter reads all channels"
-TOO_FEW: Final = (
+ONE_METER: Final = message("differences between the voltmeters: none: one voltmeter reads all channels")
+TOO_FEW: Final = message(
     "differences between the voltmeters: too few runs with exchanged voltmeters; measure one more run of "
     "that block, each voltmeter on another channel"
 )
@@ -322,7 +325,9 @@ class MeterDifferences:
         """Yield a line for each meter: its number, its identity and the channels that it read."""
         for number, (meter, used) in enumerate(zip(self.meters, self.used, strict=True), start=1):
             read = ", ".join(f"{c} in {n}" for c, n in zip(CHANNELS, used, strict=True) if n)
-            yield f"voltmeter {number}: {meter} (read {read} of {len(self.runs)} runs with exchanged voltmeters)"
+            yield message(
+                f"voltmeter {number}: {meter} (read {read} of {len(self.runs)} runs with exchanged voltmeters)"
+            )
 
     def not_told(self) -> Iterator[str]:
         """Yield a sentence if there are groups of meters that cannot be compared."""
@@ -331,7 +336,7 @@ class MeterDifferences:
                 " and ".join(str(m + 1) for m, own in enumerate(self.group) if own == group)
                 for group in dict.fromkeys(self.group)
             ]
-            yield (
+            yield message(
                 f"differences between voltmeters {', '.join(groups)}: no channel was read by both; "
                 "measure a block with these voltmeters exchanged"
             )

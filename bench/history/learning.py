@@ -11,6 +11,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.languages import message
 from bench.calibration.noise import KnownStand
 from bench.calibration.result import CalibrationError
 from bench.history.learned import Contradiction, Learned, Variance
@@ -181,9 +182,9 @@ LOOKED_AT_P: Final = 0.1
 """If a run's preliminary p-value is below this, the variances are estimated again without the run."""
 MOST_PART: Final = 1 / 3
 """The largest fraction of runs left out; if more contradict, the runs do not share one state of the bench."""
-ANGLES: Final = "its angles of the stand"
-FIT: Final = "what it leaves beyond the scatter of its repeats"
-SCATTER: Final = "the scatter of its repeats"
+ANGLES: Final = message("its angles of the stand")
+FIT: Final = message("what it leaves beyond the scatter of its repeats")
+SCATTER: Final = message("the scatter of its repeats")
 
 
 def odd_runs(runs: list[RunFit], body: RunSums, theta: Floats, beliefs: Beliefs) -> list[Contradiction]:
@@ -379,7 +380,10 @@ def told_by_runs(body: RunSums, layout: Layout, free: Beliefs) -> tuple[Beliefs,
     beliefs, reasons = free, {}
     for j, kind in enumerate(layout.kinds):
         if not _shown(body, j):
-            beliefs, reasons[kind] = _holding(beliefs, layout, j), "no reading of these runs shows it"
+            beliefs, reasons[kind] = (
+                _holding(beliefs, layout, j),
+                message("no reading of these runs shows it"),
+            )
     while True:
         theta = fitted(body, beliefs)
         untold = _undetermined(body, theta, beliefs, layout)
@@ -433,8 +437,9 @@ def _why(body: RunSums, j: int, layout: Layout) -> str:
                 if kind != j and size > SEEN and abs(gram[i, other]) > ALIKE * size:
                     together.add(layout.kinds[kind])
     if together:
-        return f"in these runs it shows only together with {' and '.join(sorted(together))}"
-    return "these runs are too few, or too noisy, to show it"
+        others = " and ".join(sorted(together))
+        return message(f"in these runs it shows only together with {others}")
+    return message("these runs are too few, or too noisy, to show it")
 
 
 # --- from variances to sizes --------------------------------------------------------------------------

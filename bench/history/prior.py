@@ -16,6 +16,7 @@ import numpy as np
 from scipy import special
 
 from bench.base.arrays import Floats, Ints, u_of
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 from bench.history.measured import STANDARD_GRAVITY, ComparedCalibrations, coded, of_gravity, to_gravity
 from bench.stats import chi_square
@@ -115,7 +116,7 @@ def _own(measured: ComparedCalibrations, unit: Ints) -> tuple[Floats, tuple[str,
     count = np.bincount(unit)
     dof = int(np.sum(count - 1))
     if dof < LEAST_REPEATS:
-        note = (
+        note = message(
             f"{dof} repeated calibrations do not show which part of u belongs to a calibration; all "
             "differences count as the units'"
         )

@@ -14,6 +14,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats, Mask
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.base.numbers import read_number
 from bench.base.text import shortened
 from bench.calibration.result import CalibrationError
@@ -172,7 +173,7 @@ def on_grid(source: str, time_s: Floats, signal: Floats, channels: tuple[str, ..
     sums = np.stack([np.bincount(place, column) for column in signal.T], axis=1)
     filled = np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], np.nan)
     missing = int(np.sum(count == 0))
-    told = (
+    told = message(
         f"{missing} of {len(count)} times on a grid of {interval_s:.4g} s have no reading; averages omit them"
     )
     return StaticRecord(source, "V", interval_s, filled, channels, (told,) * (missing > 0))
@@ -193,7 +194,9 @@ def _row(
             continue
         wrong = f"expected a number, got {shortened(text)!r}"
         if k and math.isfinite(values[k]):
-            wrong = f"the voltmeter was overloaded ({shortened(text)}); record again on a higher range"
+            wrong = message(
+                f"the voltmeter was overloaded ({shortened(text)}); record again on a higher range"
+            )
         bad.append(f"{path}, line {line}, column {name}: {wrong}")
     return values
 
@@ -245,18 +248,21 @@ def averaging(curve: AllanCurve, terms: NoiseTerms, wanted: float | None = None)
         enough = high <= wanted
         if np.any(enough):
             k = int(np.argmax(enough))
-            return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), "the size asked for")
+            return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), message("the size asked for"))
         k = int(np.argmin(high))
-        why = f"the size asked for is not reached; the minimum, at most {high[k]:.2g}"
+        why = message(f"the size asked for is not reached; the minimum, at most {high[k]:.2g}")
         return Averaging(float(curve.tau_s[k]), float(curve.deviation[k]), why, reached=False)
     fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 400)
     flat = terms.slope(fine) >= FLAT
     if flat[0]:
-        tau, why = float(curve.tau_s[0]), "the deviation does not fall from the first sample on"
+        tau, why = float(curve.tau_s[0]), message("the deviation does not fall from the first sample on")
     elif np.any(flat):
-        tau, why = float(fine[int(np.argmax(flat))]), "longer averages gain little from here"
+        tau, why = float(fine[int(np.argmax(flat))]), message("longer averages gain little from here")
     else:
-        tau, why = float(curve.tau_s[-1]), "the deviation still falls; the record is too short to show more"
+        tau, why = (
+            float(curve.tau_s[-1]),
+            message("the deviation still falls; the record is too short to show more"),
+        )
     return Averaging(tau, float(np.interp(tau, curve.tau_s, curve.deviation)), why)
 
 

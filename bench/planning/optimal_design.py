@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, quadratic_forms
+from bench.base.languages import message
 from bench.base.numbers import figures
 from bench.calibration.budget.assessment import delta_g_variances, directions
 from bench.calibration.budget.coefficients import Budget, Setup, make_budget
@@ -116,7 +117,14 @@ def delta_g_goals(
             "(more samples a reading) or relax the goal"
         )
     return [
-        Goal(f"Δg at verification point {i + 1}", functionals[[i]], asked_g, "g", float(floors[i]), at[i])
+        Goal(
+            message(f"Δg at verification point {i + 1}"),
+            functionals[[i]],
+            asked_g,
+            "g",
+            float(floors[i]),
+            at[i],
+        )
         for i in range(len(force))
     ]
 
@@ -150,7 +158,7 @@ def vector_goal(block: Block, magnitude_g: float = 1.0, asked_g: float = 1.0) ->
         rows = np.concatenate([np.einsum("ki,j->kij", inverse, a).reshape(3, 9), inverse], axis=1)
         weight += rows.T @ rows / len(force)
     size, vectors = np.linalg.eigh(weight)
-    name = f"rms error vector at {magnitude_g:g} g"
+    name = message(f"rms error vector at {magnitude_g:g} g")
     return Goal(name, (vectors * np.sqrt(np.maximum(size, 0.0))).T, asked_g, "g")
 
 
@@ -162,7 +170,7 @@ def whole_goal(block: Block, goals: Sequence[Goal]) -> Goal:
     typical = float(np.max(np.abs(block.K)))
     asked = max(goal.asked / (typical if goal.unit.startswith("V") else 1.0) for goal in goals)
     goal = vector_goal(block, 1.0, max(WHOLE * asked, LEAST_WHOLE_G))
-    return replace(goal, name=f"whole block: {goal.name}", loose=True)
+    return replace(goal, name=message(f"whole block: {goal.name}"), loose=True)
 
 
 def worst(goals: Sequence[Goal], covariance: Floats) -> Goal:

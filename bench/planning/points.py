@@ -12,6 +12,7 @@ import numpy as np
 
 from bench.base.arrays import HOUR, Floats, Ints
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.base.text import APPROACH, exact_degrees, exact_duration
 from bench.calibration.design import FIXED
 from bench.calibration.noise import LEAST_REPEATS
@@ -303,8 +304,10 @@ def best_within(
 
 def _too_short(time_s: float, least_s: float) -> str:
     if math.isinf(least_s):
-        return "no choice of these installations determines the coefficients; allow more installations or mountings"
-    return (
+        return message(
+            "no choice of these installations determines the coefficients; allow more installations or mountings"
+        )
+    return message(
         f"{time_s / HOUR:.3g} h are too short for a calibration: the shortest takes {least_s / HOUR:.3g} h, "
         "warm-up and verification points included"
     )
@@ -322,7 +325,7 @@ def _unreachable(
     ratio, chosen = min(limits)
     names = ", ".join(str(sites.mounts[m]) for m in chosen)
     if ratio <= 1:
-        return (
+        return message(
             f"not reached with {most_settings} settings, though installations {names} could with more; "
             "allow more with --most-settings, or average more samples (a smaller voltmeter_error)"
         )
@@ -335,7 +338,7 @@ def _unreachable(
         for name, variance in largest
         if variance > _PART_NAMED * largest[0][1]
     )
-    return (
+    return message(
         f"cannot be reached by any number of settings: in the best choice of mountings ({names}) the part "
         f"that no reading lowers is {ratio:.3g} times the goal; most of it for {goal.name}: {told}; "
         "reduce these errors, or allow more installations or --visits"

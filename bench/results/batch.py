@@ -9,6 +9,7 @@ from typing import Final, Literal
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 
@@ -191,7 +192,7 @@ class BatchResult(ResultModel):
         runs, program = self.runs, self.program
         kinds = [f"{runs.simulated:,} simulated"] if runs.simulated else []
         if left := runs.listed - runs.done:
-            kinds.append(f"{left:,} not done yet")
+            kinds.append(message(f"{left:,} not done yet"))
         said = f" ({', '.join(kinds)})" if kinds else ""
         out.print(
             f"batch {self.command} over {' '.join(self.over)}: {_count(runs.listed, 'run')}{said}, "
@@ -202,7 +203,8 @@ class BatchResult(ResultModel):
             listed = ", ".join(f"{version} ({count:,})" for version, count in versions.items())
             out.print(f"the runs were measured with program {listed}")
         words = [f"{name.replace('_', ' ')} {_option(value)}" for name, value in self.asked.items()]
-        out.print(f"computed with: {', '.join(words) or 'what each run recorded'}")
+        how = ", ".join(words) or message("what each run recorded")
+        out.print(f"computed with: {how}")
 
     def _print_verdicts(self, out: Console) -> None:
         found = self.verdicts

@@ -14,7 +14,7 @@ from rich.table import Table
 
 from bench.base.arrays import Floats
 from bench.base.files import write_whole
-from bench.base.languages import message, translated
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import fixed
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import as_html, as_text, print_notes, table
@@ -279,7 +279,9 @@ def _coefficient_table(result: BudgetResult) -> Table:
 def _source_table(result: BudgetResult) -> Table:
     shown = table("source", "", ">u", "common to", ">dof", "where its size comes from")
     for name, one in result.sources.items():
-        shown.add_row(name, one.symbol, one.shown, one.common_to, _dof(one.dof, "g"), one.origin)
+        shown.add_row(
+            name, one.symbol, one.shown, translated(one.common_to, HEADING), _dof(one.dof, "g"), one.origin
+        )
     return shown
 
 
@@ -287,7 +289,7 @@ def _acceleration_table(result: BudgetResult) -> Table:
     how = (
         message("the same voltmeters") if result.acceleration.same_voltmeters else message("voltmeters alike")
     )
-    shown = _table(_by_magnitude(result), "measured |a|", *ACCELERATION_COLUMNS)
+    shown = _table(_by_magnitude(result), message("measured |a|"), *ACCELERATION_COLUMNS)
     shown.title = translated(message(f"one reading with {how}, over all directions, µg"))
     shown.title_justify = "left"
     return shown

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import ARCSEC, Floats, rms, u_of
-from bench.base.languages import message
+from bench.base.languages import message, translated
 from bench.base.numbers import fixed, places, scale_for, uncertainty
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -362,9 +362,9 @@ def headline(name: str, found: Calibration) -> str:
     """Return a line with the name of the source, the estimator, the model and the number of readings."""
     readings = message(f"{len(found.fitted)} readings")
     if found.free is not None:
-        readings += message(f", {len(found.free)} by their modulus")
+        readings = message(f"{len(found.fitted)} readings, {len(found.free)} by their modulus")
     if found.skipped:
-        readings += message(f", {found.skipped} bad rows skipped")
+        readings = message(f"{readings}, {found.skipped} bad rows skipped")
     return message(
         f"Calibration of {name}: {found.estimator}, model {found.model}, {readings}, "
         f"local g = {found.g_m_s2:.6g} m/s²"
@@ -400,8 +400,10 @@ def sources_table(found: Calibration) -> Table:
         name = COEFFICIENTS[j]
         size = scale_for(float(u[j]), found.unit)
         cost = f"{uncertainty(float(u[j]) / size.size)} {parts.coefficient_unit(name, size.unit)}"
-        origin = f"{source.origin} (prior)" if source.prior else source.origin
-        shown.add_row(source.name.replace("_", " "), source.size, origin, cost, name)
+        origin = translated(source.origin)
+        if source.prior:
+            origin = message(f"{origin} (prior)")
+        shown.add_row(translated(source.name.replace("_", " ")), source.size, origin, cost, name)
     return shown
 
 
@@ -458,8 +460,10 @@ def _noise_in_words(found: Calibration) -> str:
 
 def fit_in_a_line(found: Calibration) -> str:
     """Return a line that states whether the model fits the readings, with the numbers of the test."""
-    how = message("; u is widened for this misfit") if found.shared else ""
-    how = message(f"; u is {found.birge:.2g} times that of the noise") if found.birge > 1 else how
     accepted = found.lack_of_fit.accepted()
     said = message("shown at 1 %") if accepted else message("THE MODEL DOES NOT FIT the readings")
-    return parts.fit_in_words(found.lack_of_fit, f"{said}{how}")
+    if found.birge > 1:
+        said = message(f"{said}; u is {found.birge:.2g} times that of the noise")
+    elif found.shared:
+        said = message(f"{said}; u is widened for this misfit")
+    return parts.fit_in_words(found.lack_of_fit, said)

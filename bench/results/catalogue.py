@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.base.numbers import fixed, places, scale_for, two_digits
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
@@ -139,7 +140,9 @@ class DueResult(ResultModel):
         print_notes(
             out,
             [
-                f"{one.instrument}: certificate {one.certificate} ends on {one.valid_until}; have it calibrated"
+                message(
+                    f"{one.instrument}: certificate {one.certificate} ends on {one.valid_until}; have it calibrated"
+                )
                 for one in self.instruments
             ],
         )
@@ -178,7 +181,7 @@ class UnitResult(ResultModel):
 
     def print_on(self, out: Console) -> None:
         """Print the latest coefficients with their changes, and the due date."""
-        made = f"{len(self.runs)} runs, {len(self.calibrations)} calibrations compared"
+        made = message(f"{len(self.runs)} runs, {len(self.calibrations)} calibrations compared")
         out.print(f"{self.unit}: {made}{', SIMULATED' if self.simulated else ''}", style="bold")
         if self.calibrations:
             last = self.calibrations[-1]
@@ -193,7 +196,7 @@ class UnitResult(ResultModel):
             out.print(shown)
         print_notes(out, self.notes)
         due = self.due
-        told = f"due {due.due}: {due.why}" if due else f"no date due: {self.why_not_due}"
+        told = message(f"due {due.due}: {due.why}") if due else message(f"no date due: {self.why_not_due}")
         out.print(told, style="bold")
 
 

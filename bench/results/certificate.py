@@ -8,6 +8,7 @@ from typing import Any, Final, Literal
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message
 from bench.base.numbers import fixed, places, rounded, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
@@ -237,7 +238,7 @@ def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
     own = None if result.get("temperature_effects") else result.get("temperature_c")
     at = result.get("holds_at_c", own)
     mark = "SIMULATED: " if result.get("simulated") else ""
-    where = "at an unknown temperature" if at is None else f"at {at:.1f} °C"
+    where = message("at an unknown temperature") if at is None else message(f"at {at:.1f} °C")
     out.print(
         f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
         f"+1 g on an upward axis), U in {result['unit']}, block {where}"

@@ -10,10 +10,10 @@ import numpy as np
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.languages import message, translated
+from bench.base.languages import HEADING, message, translated
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
-from bench.base.text import APPROACH, degrees
+from bench.base.text import degrees
 from bench.config.bench_file.file import BenchFile
 from bench.config.procedure.check import switched_before
 from bench.config.procedure.plan import FIELDS, Plan, Read, Step, Turn
@@ -160,10 +160,10 @@ def print_findings(found: Findings, out: Console, *, every_step: bool = False) -
         out.print(f"{steps:>13}  {translated(line.text)}")
     by_kind = table("step", ">count", ">expected time")
     for kind, seconds in result.expected_by_kind_s.items():
-        by_kind.add_row(kind, str(result.counts.get(kind, "")), duration(seconds))
+        by_kind.add_row(translated(kind, HEADING), str(result.counts.get(kind, "")), duration(seconds))
     by_installation = table("installation", ">expected time")
     for name, seconds in result.expected_by_installation_s.items():
-        by_installation.add_row(name or "before", duration(seconds))
+        by_installation.add_row(name or translated(message("before", "heading"), HEADING), duration(seconds))
     out.print(by_kind)
     out.print(by_installation)
     longer = result.longest_s > result.expected_s
@@ -376,7 +376,8 @@ def _block_in_words(steps: Sequence[Step], block: _Block) -> str:
     if not places:
         return message(f"{block.times} times: {doing}")
     first, final = places[0]
-    return f"{_where(first)} to {final.point}{_span(*turns[0]) if turns else ''}: {doing}"
+    span = _span(*turns[0]) if turns else ""
+    return f"{translated(_where(first))} {_to()} {final.point}{span}: {doing}"
 
 
 def _where(step: Step) -> str:
@@ -387,15 +388,20 @@ def _where(step: Step) -> str:
 
 
 def _span(first: Turn, last: Turn) -> str:
-    return f", {APPROACH[first.direction]}, {degrees(first.target_rad)} to {degrees(last.target_rad)}"
+    rising = message("rising", "heading") if first.direction > 0 else message("falling", "heading")
+    return f", {translated(rising, HEADING)}, {degrees(first.target_rad)} {_to()} {degrees(last.target_rad)}"
+
+
+def _to() -> str:
+    return translated(message("to", "heading"), HEADING)
 
 
 def _doing(step: Step) -> str:
-    """Return in words what a step does, without the point: "turn", "read 10 × 1 NPLC"."""
+    """Return in words what a step does, without the point: "turn", "read 10 × 1 NPLC", in the current language."""
     match step:
         case Turn():
-            return "turn"
+            return translated(message("turn", "heading"), HEADING)
         case Read():
-            return f"read {step.samples} × {step.nplc:g} NPLC{scan_in_words(step)}"
+            return translated(message(f"read {step.samples} × {step.nplc:g} NPLC{scan_in_words(step)}"))
         case _:
-            return step.describe()
+            return translated(step.describe())

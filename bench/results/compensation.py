@@ -11,6 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.base.arrays import ARCSEC, Floats, u_of
+from bench.base.languages import message
 from bench.base.numbers import fixed, places, probability, quantity, scale_for
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
@@ -154,21 +155,22 @@ def print_tumble(view: TumbleView, name: str, on: Console) -> None:
     """Print the terms of each accelerometer, what the orientations determine, and the lack of fit."""
     on.print(f"Tumble of {name}: {len(view.fitted)} readings, local g = {view.g_m_s2:.6g} m/s²")
     on.print(
-        "E/K1 = K0 + a_i + cross-axis terms + K2 a_i² + K3 a_i³ + Koq a_i |a_i| + …, a in g, E in "
-        + view.unit
+        f"E/K1 = K0 + a_i + cross-axis terms + K2 a_i² + K3 a_i³ + Koq a_i |a_i| + …, a in g, E in {view.unit}"
     )
     on.print(_table(view))
     for own in view.judged:
         on.print(own.sentence())
     for first, second, r in _close(view):
         on.print(
-            f"{first} and {second} are correlated (r = {r:.3f}): their sum is known far better than each"
+            message(
+                f"{first} and {second} are correlated (r = {r:.3f}): their sum is known far better than each"
+            )
         )
-    on.print(fit_in_words(view.lack_of_fit, "THESE TERMS DO NOT FIT the readings"))
+    on.print(fit_in_words(view.lack_of_fit, message("THESE TERMS DO NOT FIT the readings")))
     if view.above is not None:
-        agree = "agree with" if view.above_agrees else "CONTRADICT"
         on.print(
-            f"{view.above.points} points up to {view.above.largest_g:.3g} g {agree} the readings at 1 g: "
+            f"{view.above.points} points up to {view.above.largest_g:.3g} g "
+            f"{'agree with' if view.above_agrees else 'CONTRADICT'} the readings at 1 g: "
             f"chi-square {view.above.chi2:.1f} for {view.above.dof} ({probability(view.above.p)})"
         )
     print_notes(on, list(_left_out(view)))
@@ -211,12 +213,13 @@ def _left_out(view: TumbleView) -> Iterator[str]:
     for channel, by_term in view.left_out.items():
         for term, moved in by_term.items():
             if moved:
-                said = (
-                    "not fitted, but included in u," if view.combined and term in OF_BLOCK else "assumed zero"
-                )
+                in_u = view.combined and term in OF_BLOCK
                 unit = _micro(parameter_of(term).unit.replace("ug", "g"))
                 others = ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())
-                yield f"{said} in channel {channel}: 1 {unit} of {term} moves {others}"
+                yield message(
+                    f"{'not fitted, but included in u,' if in_u else 'assumed zero'} in channel {channel}: "
+                    f"1 {unit} of {term} moves {others}"
+                )
 
 
 # --- coefficients over temperature --------------------------------------------------------------------
@@ -483,10 +486,10 @@ def _print_hysteresis(model: TemperatureModel, out: Console) -> None:
         for name, size, u, p in zip(COEFFICIENTS, found.size, found.u, found.p_each, strict=True)
         if p < HYSTERESIS_P
     ]
-    which = (
-        f"{', '.join(single)} ({scale.unit}/g, biases in {scale.unit})" if single else "no single coefficient"
-    )
-    verdict = f"shown: {which}" if found.p < HYSTERESIS_P else "none shown"
+    which = message("no single coefficient")
+    if single:
+        which = message(f"{', '.join(single)} ({scale.unit}/g, biases in {scale.unit})")
+    verdict = message(f"shown: {which}") if found.p < HYSTERESIS_P else message("none shown")
     out.print(f"hysteresis, rising minus falling: {verdict} (p = {found.p:.2g} for all twelve)")
     if found.p < HYSTERESIS_P:
         out.print(
@@ -499,14 +502,16 @@ def _print_fit(model: TemperatureModel, out: Console) -> None:
     out.print(
         parts.fit_in_words(
             model.fitted,
-            "THE MODEL DOES NOT FIT the readings",
+            message("THE MODEL DOES NOT FIT the readings"),
             untold=f"{parts.REPEATS}: too few data to tell",
         )
     )
     if model.curve is not None:
-        what = "polynomials against coefficients free at each temperature"
-        contradicted = (
+        what = message("polynomials against coefficients free at each temperature")
+        contradicted = message(
             "THE CURVES ARE NOT THESE POLYNOMIALS: hysteresis that varies with temperature, a lag, or a "
             "degree that is too low"
         )
-        out.print(parts.fit_in_words(model.curve, contradicted, what, "polynomials: too few data to tell"))
+        out.print(
+            parts.fit_in_words(model.curve, contradicted, what, message("polynomials: too few data to tell"))
+        )

@@ -234,10 +234,10 @@ class CheckBlockChart:
     def print_on(self, out: Console) -> None:
         """Print the last runs, the deviations of the last run, and the verdict."""
         result = self.result
-        kind = ", SIMULATED" if result.simulated else ""
-        what = result.reference or f"a baseline of {_counted(result.baseline)}"
+        what = result.reference or message(f"a baseline of {_counted(result.baseline)}")
         out.print(
-            f"Control chart of the check block {result.block}{kind}: {_counted(result.runs)} against {what}"
+            f"Control chart of the check block {result.block}{', SIMULATED' if result.simulated else ''}: "
+            f"{_counted(result.runs)} against {what}"
         )
         if result.runs:
             out.print(_runs_table(result))
@@ -253,9 +253,9 @@ class CheckBlockChart:
                 _numbers_table(last.run, last.coefficients, result.limits, result.components, result.unit)
             )
             basis = {
-                "stated": "stated u",
-                "scaled": f"stated u, times {nine.scale:.2f} as the baseline shows",
-                "scatter": "the scatter of the baseline",
+                "stated": message("stated u"),
+                "scaled": message(f"stated u, times {nine.scale:.2f} as the baseline shows"),
+                "scatter": message("the scatter of the baseline"),
             }[nine.limits_from]
             out.print(
                 f"false alarms: one in {result.design.arl:g} runs, all three statistics together; "
@@ -328,7 +328,7 @@ def _components(chart: ControlChart) -> ComponentsPart | None:
 
 
 def _counted(runs: Sequence[object]) -> str:
-    return f"{len(runs)} run{'s' * (len(runs) != 1)}"
+    return message(f"{len(runs)} run{'' if len(runs) == 1 else 's'}")
 
 
 def _in_u(z: float | None) -> str:
@@ -396,8 +396,8 @@ MOST_SHOWN: Final = 60
 """Number of runs, the latest, that the page draws and lists."""
 BASIS_IN_WORDS: Final = {
     "stated": "stated u, unchanged",
-    "scaled": "stated u, times one factor for all coefficients that the baseline shows",
-    "scatter": "the scatter of the baseline alone (Hotelling's T²)",
+    "scaled": message("stated u, times one factor for all coefficients that the baseline shows"),
+    "scatter": message("the scatter of the baseline alone (Hotelling's T²)"),
 }
 
 
@@ -406,7 +406,11 @@ def render_chart(found: CheckBlockChart) -> str:
     chart, result = found.chart, found.result
     last = chart.verdicts[-1] if chart.verdicts else None
     look = "none" if last is None else "passed" if last.accepted else "failed"
-    word = {"none": "No verdict yet", "passed": "✓ In control", "failed": "✗ Out of control"}[look]
+    word = {
+        "none": message("No verdict yet"),
+        "passed": message("✓ In control"),
+        "failed": message("✗ Out of control"),
+    }[look]
     figures = []
     if last is not None:
         joint, single = partial(draw_joint, chart, found.unit), partial(draw_single, chart, found.unit)

@@ -10,6 +10,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import u_of
+from bench.base.languages import message
 from bench.base.numbers import fixed, probability
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
@@ -118,7 +119,9 @@ def drift_words(drift: DriftPart, unit: str) -> str:
 
 def print_kit(result: KitResult, on: Console) -> None:
     """Print each laboratory's verdict with its largest E_n, the transport check and the notes."""
-    on.print(f"{len(result.laboratories)} laboratories calibrated {result.block}, in the nine numbers")
+    on.print(
+        message(f"{len(result.laboratories)} laboratories calibrated {result.block}, in the nine numbers")
+    )
     shown = table("laboratory", ">chi²(9)", ">p (Holm)", "largest E_n", "")
     for one in result.laboratories:
         name, worst = max(one.differences.items(), key=lambda item: item[1].en)
@@ -131,10 +134,10 @@ def print_kit(result: KitResult, on: Console) -> None:
         )
     on.print(shown)
     if result.transport_p is not None:
-        word = "did not change" if result.transport_p >= CHANGED_P else "CHANGED"
+        same = result.transport_p >= CHANGED_P
         on.print(
-            f"the block {word} in transport, as the pilot's repeated calibrations show "
-            f"({probability(result.transport_p)})"
+            f"the block {'did not change' if same else 'CHANGED'} in transport, as the pilot's repeated "
+            f"calibrations show ({probability(result.transport_p)})"
         )
     for drift in result.drifts:
         on.print(drift_words(drift, result.unit))

@@ -7,6 +7,7 @@ from typing import Any
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import table
 from bench.history.learned import Contrasts, Learned
@@ -127,14 +128,14 @@ def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
     """Print the contradicting runs, the learned errors, and the quantities that these runs do not determine."""
     for one in result.contradicting:
         out.print(f"{one.sentence} (p {one.p:.1g}, adjusted for several tests); it is left out", style="bold")
-    kind = "simulated runs" if result.simulated else "runs"
     out.print(
-        f"Bench {result.bench.name}: learned from {len(result.runs)} {kind}, valid until {result.expires}"
+        f"Bench {result.bench.name}: learned from {len(result.runs)} "
+        f"{'simulated runs' if result.simulated else 'runs'}, valid until {result.expires}"
     )
     shown = table("size", ">value", ">u", ">dof", "", "")
     for name, size in result.sizes.items():
         dof = "many" if size.dof is None or size.dof >= 1e5 else f"{size.dof:.0f}"
-        told = "" if size.told else "as stated before"
+        told = "" if size.told else message("as stated before")
         shown.add_row(name, f"{size.value:.4g}", f"{size.u:.2g}", dof, size.unit, told)
     out.print(shown)
     for sentence in () if isinstance(found.meters, str) else found.meters.words():

@@ -8,6 +8,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import u_of
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import fixed, places, scale_for
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
@@ -67,8 +68,10 @@ def print_monitor(result: MonitorResult, on: Console) -> None:
     shown = table("run", *(f">{name} / {units[name[0]]}" for name in result.order), ">T²", "")
     for run in result.runs:
         cells = [fixed(v.value, places(v.u)) for v in run.values.values()]
-        word = {None: "baseline", True: "in control", False: "OUT OF CONTROL"}[run.accepted]
-        shown.add_row(run.run, *cells, "" if run.t2 is None else f"{run.t2:.1f}", word)
+        word = message("baseline", "heading")
+        if run.accepted is not None:
+            word = message("in control") if run.accepted else message("OUT OF CONTROL")
+        shown.add_row(run.run, *cells, "" if run.t2 is None else f"{run.t2:.1f}", translated(word, HEADING))
     on.print(shown)
     on.print(f"limit of T²: {result.limit_t2:.1f}, from {result.baseline} runs")
     for run in result.runs:

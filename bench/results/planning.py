@@ -11,6 +11,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import figures
 from bench.base.result_model import Matrix, ResultModel
 from bench.base.tables import table
@@ -66,7 +67,9 @@ class LimitPart(ResultModel):
     @property
     def words(self) -> str:
         """The limit with its printed unit, or the reason why there is no limit."""
-        return self.verdict if self.limit is None else self.shown(self.limit, down=True)
+        if self.limit is not None:
+            return self.shown(self.limit, down=True)
+        return message("cannot be reached") if self.verdict == "cannot be reached" else message("no limit")
 
     @property
     def now(self) -> str:
@@ -124,32 +127,36 @@ class Requirements:
     def print_on(self, out: Console) -> None:
         """Print the limits, the alternatives, and whether the present bench meets the accuracy."""
         found = self.result
-        up_to = "" if self.up_to_g is None else f" up to {self.up_to_g:g} g"
+        of = found.of if self.up_to_g is None else message(f"{found.of} up to {self.up_to_g:g} g")
         out.print(
-            f"{found.of}{up_to}: {found.k:g} u within {_micro(found.accuracy)} µ{found.unit}, by "
+            f"{of}: {found.k:g} u within {_micro(found.accuracy)} µ{found.unit}, by "
             f"{found.estimator} from procedure {found.procedure} on {found.bench}"
         )
         out.print(_limit_table(found))
         if found.why_not_together:
             out.print(f"no balanced set: {found.why_not_together}")
         out.print(_alternative_table(found))
-        counted = " by the errors counted" if found.not_counted else ""
         out.print(
-            f"bench as it is: {found.k:g} u = {_micro(found.reached)} µ{found.unit}{counted}: "
-            f"{'KEPT' if found.kept else 'NOT KEPT'}",
+            f"bench as it is: {found.k:g} u = {_micro(found.reached)} µ{found.unit}"
+            f"{' by the errors counted' if found.not_counted else ''}: {'KEPT' if found.kept else 'NOT KEPT'}",
             style="bold",
         )
         if found.not_counted:
-            more = ", MORE THAN THE ACCURACY" if found.not_counted > found.accuracy else ""
+            joint = translated(message("and", "heading"), HEADING)
+            left_out = f" {joint} ".join(map(translated, self.left_out))
             out.print(
-                f"not counted: {' and '.join(self.left_out)}: {found.k:g} u = {_micro(found.not_counted)} "
-                f"µ{found.unit} by itself{more}"
+                f"not counted: {left_out}: {found.k:g} u = {_micro(found.not_counted)} "
+                f"µ{found.unit} by itself"
+                f"{', MORE THAN THE ACCURACY' if found.not_counted > found.accuracy else ''}"
             )
 
 
 def _limit_table(found: RequireResult) -> Table:
-    how = "equal shares" if found.share == "equal" else "by cost"
-    shown = table("error", "as", ">now", ">part of variance", ">limit alone", f">limits together, {how}")
+    equal = found.share == "equal"
+    shown = table(
+        "error", "as", ">now", ">part of variance", ">limit alone",
+        ">limits together, equal shares" if equal else ">limits together, by cost",
+    )  # fmt: skip
     together = {limit.name: limit.words for limit in found.together}
     for limit in found.alone:
         form = "limits" if limit.distribution == "rectangular" else f"k = {limit.k:g}"
@@ -297,7 +304,7 @@ class PlannedPoints:
 
 def _goal_table(found: PlanPointsResult, paper_settings: int) -> Table:
     asked = found.reached is not None
-    of_paper = f">u of the paper's {paper_settings} settings"
+    of_paper = ">" + translated(message(f"u of the paper's {paper_settings} settings"))
     shown = table("goal", *([">asked u"] if asked else []), ">planned u", of_paper, ">")
     for goal in found.goals:
         sizes = [goal.asked_u, goal.u, goal.u_paper]

@@ -27,21 +27,21 @@ _NAME: Final = 19
 """Width of the column of names; the whole line then has 80 characters."""
 _SAID: Final = ("answered", "answer_refused")
 _LABELS: Final = {
-    "format": "format of the record",
-    "imported": "imported from",
-    "imported_from": "imported from",
-    "living": "questions answered by a person",
-    "operator_person": "operator in the register",
-    "bench": "bench file",
-    "bench_why": "choice of the bench file",
-    "plan_hash": "SHA-256 of the plan",
-    "versions": "versions of the programs",
-    "devices": "sources of drivers",
-    "default_rule": "decision rule if none is stated",
-    "verdict": "limit and rule of the run",
-    "until": "goals of the run",
-    "check_block": "check block at the start",
-    "files": "SHA-256 of the files",
+    "format": message("format of the record"),
+    "imported": message("imported from"),
+    "imported_from": message("imported from"),
+    "living": message("questions answered by a person"),
+    "operator_person": message("operator in the register"),
+    "bench": message("bench file"),
+    "bench_why": message("choice of the bench file"),
+    "plan_hash": message("SHA-256 of the plan"),
+    "versions": message("versions of the programs"),
+    "devices": message("sources of drivers"),
+    "default_rule": message("decision rule if none is stated"),
+    "verdict": message("limit and rule of the run"),
+    "until": message("goals of the run"),
+    "check_block": message("check block at the start"),
+    "files": message("SHA-256 of the files"),
     "limit_g": "limit in g",
     "guard_band": "guard band",
     "false_acceptance": "false acceptance",
@@ -158,7 +158,7 @@ class ShowResult(RunPart):
 
     def _print_proof(self, run: Run, out: Console) -> None:
         wrong = run.history.problems
-        found = "; ".join(wrong) if wrong else "chain of hashes complete"
+        found = "; ".join(wrong) if wrong else message("chain of hashes complete")
         out.print(f"record: {len(run.history.events)} events, {found}")
         if run.history.torn:
             out.print("record: the last line is incomplete; 'bench resume' drops it")
@@ -259,9 +259,9 @@ class InstrumentsResult(ResultModel):
 # --- commissioning ------------------------------------------------------------------------------------
 
 VERDICTS: Final = {
-    0: ("passed", "✓ Everything tested works as expected"),
-    1: ("none", "Something is slower or different than expected"),
-    2: ("failed", "✗ Something could not be tested"),
+    0: ("passed", message("✓ Everything tested works as expected")),
+    1: ("none", message("Something is slower or different than expected")),
+    2: ("failed", message("✗ Something could not be tested")),
 }
 """The style of the page and its headline, by exit status."""
 

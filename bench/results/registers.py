@@ -10,6 +10,7 @@ from typing import Final, Literal
 from pydantic import Field
 from rich.console import Console
 
+from bench.base.languages import message
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.results.tables import page
@@ -135,13 +136,21 @@ def render_failures(result: FailuresResult) -> str:
 
 
 NOT_PROVEN: Final = (
-    "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it",
-    "that the block, the head and the stand are as the bench file states: the check block and the budget do",
-    "that the clock is right: no time server was asked",
-    "that nobody changed a package's files later: 'require_validation: true' compares the program's files and the "
-    "packages' lists of files",
-    "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement",
-    "that the random parts would pass with every seed: their seeds are fixed",
+    message(
+        "that real instruments do as simulated ones: 'bench instruments --commission' and certificates show it"
+    ),
+    message(
+        "that the block, the head and the stand are as the bench file states: the check block and the budget do"
+    ),
+    message("that the clock is right: no time server was asked"),
+    message(
+        "that nobody changed a package's files later: 'require_validation: true' compares the program's "
+        "files and the packages' lists of files"
+    ),
+    message(
+        "that the laboratory's method suits the customer's purpose (7.2.2): that is the laboratory's judgement"
+    ),
+    message("that the random parts would pass with every seed: their seeds are fixed"),
 )
 """Properties that no validation of a program proves."""
 
@@ -247,13 +256,15 @@ class ValidationResult(ResultModel):
         """The outcome in one line."""
         count = len(self.checks)
         if self.failed:
-            return f"NOT VALID: {len(self.failed)} of {count} checks failed"
+            return message(f"NOT VALID: {len(self.failed)} of {count} checks failed")
         if self.changes:
-            return (
+            return message(
                 f"CHANGED: {len(self.changes)} of {count} checks changed, and an authorised person must "
                 "accept them; all others passed"
             )
-        return f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
+        return message(
+            f"PASSED: all {count} checks; it becomes a validation when an authorised person accepts it"
+        )
 
     def print_on(self, out: Console) -> None:
         """Print the number of passed checks by family, the checks that failed or changed, and the outcome."""

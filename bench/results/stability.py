@@ -129,7 +129,7 @@ def print_stability(found: Stability, out: Console) -> None:
     for line, channel, terms in lines:
         out.print(line)
         if terms.p < MISFIT_P:
-            misfit = (
+            misfit = message(
                 f"channel {channel}: the five noise terms do not explain this curve "
                 f"({probability(terms.p)}): it may contain vibration or another line; their uncertainties "
                 "are widened"

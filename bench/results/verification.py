@@ -10,7 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.languages import message
+from bench.base.languages import message, translated
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import NON_BINARY, SIMPLE, DecisionRule, Population, Statement
@@ -166,7 +166,7 @@ def verification_table(found: Verification) -> Table:
             *([up_to] * guarded),
             optional_probability(p.p_false_accept),
             optional_probability(p.p_false_reject),
-            str(p.statement),
+            translated(str(p.statement), "statement"),
         )
     return shown
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE, QuantityKind
 from bench.calibration.budget.assessment import Question, assess
 from bench.calibration.budget.coefficients import Setup, make_setup, meters_of
@@ -329,7 +330,9 @@ def _block(coefficients: str | Path | None, bench: BenchFile) -> tuple[Block, st
             raise Refused(f"{coefficients}: {error}") from None
         return block, str(coefficients)
     nominal = bench.simulation.block is None
-    return bench.simulated_block(), "nominal scale factors" if nominal else "block of the bench file"
+    return bench.simulated_block(), message("nominal scale factors") if nominal else message(
+        "block of the bench file"
+    )
 
 
 PROCEDURES: Final = (
@@ -372,12 +375,15 @@ def requirements(request: Require) -> Requirements:
         why_not_together = str(error)
     left_out = []
     if not request.all_errors:
-        gravity = "" if of in COEFFICIENTS else "gravity, "
         left_out.append(
-            f"what no reading shows (gain, {gravity}temperature, nonlinearity of the block: --all-errors)"
+            message("what no reading shows (gain, temperature, nonlinearity of the block: --all-errors)")
+            if of in COEFFICIENTS
+            else message(
+                "what no reading shows (gain, gravity, temperature, nonlinearity of the block: --all-errors)"
+            )
         )
     if not (request.with_reading or of in COEFFICIENTS):
-        left_out.append("the reading in use (--with-reading)")
+        left_out.append(message("the reading in use (--with-reading)"))
     # the variance not counted: that of the other sources and of the reading in use
     whole = replace(asked, sources=tuple(every), target=_target(request, file, reading=True)[0])
     reached, shares = asked.reached(), asked.shares()

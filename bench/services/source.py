@@ -435,7 +435,9 @@ def _of_unit(bench: BenchFile, origin: Origin | None) -> tuple[BenchFile, tuple[
     unit = origin.unit_under_test if origin is not None else None
     if unit is None or (unit.type, unit.serial) == (stated.type, stated.serial):
         return bench, ()
-    note = f"the readings are of unit {unit.type} {unit.serial}; the bench file names {stated.type} {stated.serial}"
+    note = message(
+        f"the readings are of unit {unit.type} {unit.serial}; the bench file names {stated.type} {stated.serial}"
+    )
     own = stated.model_copy(update={"type": unit.type, "serial": unit.serial})
     return bench.model_copy(update={"unit_under_test": own}), (note,)
 

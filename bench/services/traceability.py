@@ -80,7 +80,7 @@ class Traced:
         for why in dict.fromkeys(why_not for _, why_not in self.entries):
             names = [standing.instrument for standing, why_not in self.entries if why_not == why]
             if why and why not in (_OTHER, _NOTHING):
-                yield f"readings not corrected by the certificate of {', '.join(names)}: {why}"
+                yield message(f"readings not corrected by the certificate of {', '.join(names)}: {why}")
 
     def parts(self) -> list[CorrectionPart]:
         """Return for each certificate its part of a result."""
@@ -186,13 +186,15 @@ def _why_not(standing: Standing, taken: BenchTaken, readings: Readings, origin: 
     if not standing.correction:
         return _NOTHING
     if readings.corrected:
-        return "these readings are corrected already"
+        return message("these readings are corrected already")
     if origin is not None and origin.simulated:
         same = origin.bench.sha256 == taken.sha256
         had_it = of_meter and same and taken.file.simulation.voltmeter.accuracy == CERTIFICATE
-        return "" if had_it else "the instruments were simulated without the errors in the certificates"
+        return (
+            "" if had_it else message("the instruments were simulated without the errors in the certificates")
+        )
     if of_meter and readings.unit != VOLTS:
-        return f"the signals are in {readings.unit}"
+        return message(f"the signals are in {readings.unit}")
     return ""
 
 

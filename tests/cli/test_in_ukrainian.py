@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from bench.base.languages import speaking, translated
+from bench.base.tables import as_text, table
+from bench.calibration.mistakes import in_another_unit
 from bench.cli.app import main
 from bench.run.folder import Run
 from bench.run.person import OpenPrompt
@@ -103,3 +106,61 @@ def test_mistakes_in_files_are_told_in_ukrainian_and_their_keys_stay(at_the_benc
     assert "у заголовку немає uz_v; очікувалося щонайменше installation,pass" in at_the_bench(
         "calibrate", "wrong.csv", status=2
     )
+
+
+@pytest.mark.slow(seconds=8)
+def test_plans_and_evaluations_are_ukrainian_throughout(at_the_bench):
+    bench = (ROOT / "config" / "paper-stand.yaml").read_text(encoding="utf-8")
+    section = "\ncheck_block: {serial: CHECK-1, rule: warn, baseline: 1}\n"
+    Path("my.yaml").write_text(
+        bench.replace("triaxial block of the paper", "B-1") + section, encoding="utf-8"
+    )
+    for seed in ("1", "2", "3"):
+        at_the_bench(*QUICK[:-1], seed, "--seed", seed, "--bench", "my.yaml", "--unit", "CHECK-1", status=0)
+    said = at_the_bench("chart", "runs", status=0)
+    assert "у базі 1 сеанс: для такої кількості межі широкі" in said
+    assert "під контролем" in said
+    assert "того самого дня вимірювали ті самі вольтметри" in at_the_bench("compare", "1", "2", status=0)
+    assert "спільний для всіх встановлень поворот блока" in at_the_bench("calibrate", "1", status=0)
+    assert "точка перевірки" in at_the_bench("verify", "1", status=0)
+    assert "один прохід у встановленні 1T90, як у методиці «remount-90»" in at_the_bench(
+        "check", "quick", "--bench", "my.yaml", status=0
+    )
+    said = at_the_bench("budget", "quick", "--bench", "my.yaml", "--trials", "0", status=0)
+    assert "прийнято за правдоподібними значеннями" in said
+    assert "примітка: gravity: коефіцієнти на місцеве g" in said
+    assert "контрольний блок: 3, " in at_the_bench(
+        "run", "quick", "--dry-run", "--name", "unit", "--bench", "my.yaml", "--check-block", status=0
+    )
+
+
+def test_a_heading_is_translated_where_a_key_of_the_same_name_stays():
+    with speaking("uk"):
+        assert "крок" in as_text(lambda out: out.print(table("step")))
+        assert translated("baseline: too long") == "baseline: too long"
+
+
+@pytest.mark.parametrize(
+    ("english", "ukrainian"),
+    [
+        (
+            in_another_unit("xyz", "pass 2", "V", 3),
+            "схоже, усі сигнали у проході 2 виражені в mV, а не в V: значення у 1000 разів завеликі; для "
+            "порівняння взято решту",
+        ),
+        (
+            in_another_unit("xy", "installation 1, pass 2", "V", -3),
+            "схоже, сигнали каналу x, y у встановленні 1, прохід 2 виражені не в тій одиниці, що зазначена: "
+            "значення у 1000 разів замалі; для порівняння взято решту",
+        ),
+        (
+            "channel x: scale factor 2.18 V/g, but the bench file announces -2.18 V/g; perhaps the signals "
+            "are in mV, not in V",
+            "канал x: масштабний коефіцієнт 2,18 V/g, але у файлі стенда зазначено -2,18 V/g; можливо, "
+            "сигнали в mV, а не в V",
+        ),
+    ],
+)
+def test_a_mistake_in_the_signals_is_told_in_ukrainian(english, ukrainian):
+    with speaking("uk"):
+        assert translated(english) == ukrainian

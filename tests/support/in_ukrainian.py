@@ -6,8 +6,9 @@ import re
 TYPED = re.compile(
     r"«bench[^»]*»|'[^']*'|\"[^\"]*\"|\bbench [a-z]+ .*|(?<!\w)--?[a-z][\w-]*|[\w.-]*/[\w./-]*|\w+\.(?:yaml|json)"
     r"|(?:зразкові|відомі):? .*|очікувалося щонайменше .*|\[.*\]"
+    r"|(?:\w+, ){3,}\w+:"
 )
-"""What stays as it is: commands, quoted texts, options, paths, files, and units in the brackets of a question."""
+"""What stays as it is: commands, quoted texts, options, paths, files, units of a question, a list of names."""
 TWO_WORDS = re.compile(r"\b[A-Za-z]{2,},? [a-z]{3,}\b")
 """Two words of English, one after the other; a name, a unit or an identifier stands alone."""
 

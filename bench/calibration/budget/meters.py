@@ -69,14 +69,12 @@ def size_of(quantity: Quantity, meter: VoltmeterForm, day: datetime.date | None)
     drift = _limit(quantity, meter, years) if found.drift is None else found.drift * years
     parts = found.U / found.k, drift / math.sqrt(3.0)
     scale, unit = _SHOWN[quantity]
-    whose = (
-        message("the maker's limits for")
-        if found.drift is None
-        else message(f"{found.drift * scale:.3g} {unit}/year in")
-    )
+    drifts = message(f"the maker's limits for {years:.2g} years")
+    if found.drift is not None:
+        drifts = message(f"{found.drift * scale:.3g} {unit}/year in {years:.2g} years")
     origin = message(
         f"certificate {meter.certificate.number} of {meter.certificate.date}: U = {found.U * scale:.3g} {unit}, "
-        f"k = {found.k:g}; drift: {whose} {years:.2g} years"
+        f"k = {found.k:g}; drift: {drifts}"
     )
     dof = effective_dof(np.square([parts]), [found.dof, math.inf])
     return Size(Distribution(math.hypot(*parts)), origin, float(dof[0]), prior=found.drift is None)
