@@ -58,5 +58,5 @@ FARTHEST: Final = 3.0
 """Largest credible value, in standard deviations of its prior: a normal number exceeds it in 0.3 % of cases."""
 STEPS: Final = 8
 """Largest number of rounds of a repeated linearisation, fit, correction or zoom; six or twelve agree to 2e-6."""
-CHUNK: Final = 100
-"""Number of data sets or columns computed at once: 100 data sets, 3,000 columns and six ratios need 15 MB."""
+CHUNK: Final = 32
+"""Number of data sets, columns or suppositions computed at once: more would leave the processor's cache."""

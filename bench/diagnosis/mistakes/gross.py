@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from bench.base.arrays import Floats, Ints, Mask
-from bench.diagnosis.levels import BY_CHANCE, HARDLY_EVER
+from bench.diagnosis.levels import BY_CHANCE, CHUNK, HARDLY_EVER
 from bench.diagnosis.mistakes.reinterpretation import (
     OrientedRows,
     Reinterpretation,
@@ -33,9 +33,6 @@ count as tilted.
 """
 SHEET_U: Final = (0.10, 0.05, 0.5)
 """Prior 1 sigma of the coefficients about a data sheet: scale factor, g/g; cross-axis term, g/g; bias, g."""
-
-AT_ONCE: Final = 16
-"""Suppositions whose evidence is computed side by side: more of them would leave the processor's cache."""
 
 
 def sheet_u(scale: Floats) -> Floats:
@@ -268,7 +265,7 @@ class GrossSearch:
             positions = _positions(table, one, kept) if one.moves or one.source is not None else there
             products.append(_products(np.hstack([columns, one.signal(table) / unit]), *positions))
         jacobians = np.array([one.log_jacobian for one in supposed])
-        parts = (products[i : i + AT_ONCE] for i in range(0, len(products), AT_ONCE))
+        parts = (products[i : i + CHUNK] for i in range(0, len(products), CHUNK))
         evidence = [_integrated(part, mean, u, errors_g) for part in parts]
         return np.asarray(np.concatenate([*evidence, np.empty(0)]) + jacobians)
 
