@@ -244,10 +244,6 @@ class LinearSystem:
         """Return the mask (N,) of the rows that belong to the mountings or passes with these labels."""
         return rows_of(mounts, self.conditions)[self.rows.reading]
 
-    def rows_of(self, change: Floats) -> Floats:
-        """Return the change of the N rows, shape (N,), that a change of the signals (n, 3) causes."""
-        return self.view.rows_of(change)
-
     @cached_property
     def _still(self) -> Stages:
         """The stages of the forward model without any effect."""

@@ -57,10 +57,9 @@ class FoundEffect:
 
 @dataclass(frozen=True)
 class Naming:
-    """The effects found, in the order of the search; `left` is ln of the odds that another effect is missing."""
+    """The effects found, in the order of the search."""
 
     found: tuple[FoundEffect, ...]
-    left: float
 
     @property
     def columns(self) -> tuple[int, ...]:
@@ -240,11 +239,8 @@ def name(
 ) -> Naming:
     """Return the effects of `find`, as a `Naming` with the odds of the permitted families in their place."""
     found = find(whitened, data, threshold, most, begun, among)
-    scored = Scored.beside(whitened, data, _columns(found))
     beside = (Scored.beside(whitened, data, _columns(found, but=i)) for i in range(len(found)))
-    return Naming(
-        tuple(in_place(given, one, among) for given, one in zip(beside, found, strict=True)), scored.total
-    )
+    return Naming(tuple(in_place(given, one, among) for given, one in zip(beside, found, strict=True)))
 
 
 def named_again(

@@ -341,7 +341,7 @@ class RecordWork:
             known.append(u)
         mean = np.concatenate(sizes)
         fitted = Posterior(mean, np.diag(np.concatenate(known) ** 2), len(mean))
-        effects = effects_of(self.candidates, Naming(tuple(shown), 0.0), fitted, limit)
+        effects = effects_of(self.candidates, Naming(tuple(shown)), fitted, limit)
         return tuple(_with_u(effect, u) for effect, u in zip(effects, u_of_shapes, strict=True))
 
     def _by_other_shapes(self, courses: Sequence[Variant], number: int, noises: Sequence[Noise]) -> Floats:

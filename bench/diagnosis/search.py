@@ -257,7 +257,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
     largest = max(naming.found, key=lambda found: found.size, default=None)
     if largest is None or len(naming.found) < 2 or not largest.variant.named:
         return naming
-    alone = Naming((largest,), naming.left)
+    alone = Naming((largest,))
     noise = noise_size(prepared.whitened, prepared.data, naming.columns)
     sized = fit_found(prepared.linear, prepared.candidates, alone, noise)
     (shapes,) = beside(prepared.candidates, alone, sized)
@@ -269,7 +269,7 @@ def _beside_shapes(task: SearchTask, prepared: Prepared, naming: Naming) -> Nami
     before = {one.variant: one for one in naming.found}
     if all(one.variant in before for one in kept):
         # the finds left out stand for parts of other shapes, without which the odds would be those of a misfit
-        return Naming(tuple(before[one.variant] for one in kept), naming.left)
+        return Naming(tuple(before[one.variant] for one in kept))
     return named_again(prepared.whitened, prepared.data, prepared.limit, kept, kept=1)
 
 
@@ -304,7 +304,7 @@ def _relinearised(task: SearchTask, prepared: Prepared, naming: Naming) -> Prepa
     change = linear.view.own(linear.model, effects, block)
     columns = [column for variant, _ in parts for column in variant.sizes]
     sizes = np.concatenate([value for _, value in parts])
-    moved = linear.rows_of(change)
+    moved = linear.view.rows_of(change)
     bend = moved - candidates.columns[:, columns] @ sizes - prepared.bend
     if float(np.max(np.abs(bend))) < UNSEEN * noise.reading:
         return fresh

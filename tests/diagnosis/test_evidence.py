@@ -132,7 +132,7 @@ def test_channels_are_as_probable_as_their_forms(one):
     forms = [one.candidates.variants[i] for i in numbers]
     weight = np.exp(scored.scores.variants[numbers, 0]) * [0.1 if v.own else 1.0 for v in forms]
     expected = [weight @ [c in v.channels for v in forms] / weight.sum() for c in range(3)]
-    named = Naming((scored.found("quadratic_nonlinearity"),), 0.0)
+    named = Naming((scored.found("quadratic_nonlinearity"),))
     assert channels_of(one.whitened, data, named)[0] == pytest.approx(expected, rel=1e-9)
 
 

@@ -108,7 +108,7 @@ def test_where_is_silent_on_nulls():
 def gap_of(one, family, mounts=()):
     """The gap of one form of a family, which the search of each part of the readings finds again."""
     form = next(v for v in one.candidates.variants if (v.family, v.mounts) == (family, mounts))
-    naming = Naming((FoundEffect(form, 100.0, 100.0, 10.0),), -1.0)
+    naming = Naming((FoundEffect(form, 100.0, 100.0, 10.0),))
     limit = OneThreshold().threshold(one.linear, one.whitened, SETTING_U_RAD)
     return measure_gap(one.linear, one.whitened, naming, NOISE, limit, SETTING_U_RAD, lambda *_: naming.found)
 

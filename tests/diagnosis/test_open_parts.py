@@ -47,7 +47,7 @@ def found():
         for v in ready.candidates.variants
         if v.family == "warm_up" and v.channels == (0,) and v.shape == shape
     )
-    naming = Naming((FoundEffect(variant, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(variant, 100.0, 100.0, 30.0),))
     sized = fit_found(ready.linear, ready.candidates, naming, NOISE)
     others = beside(ready.candidates, naming, sized)
     fitted = fit_found(with_other_shapes(ready.linear, others[0]), ready.candidates, naming, NOISE)
@@ -76,7 +76,7 @@ def test_a_file_has_what_is_open_as_it_was(found, tmp_path):
 
 def test_main_shape_and_parts_together_are_what_was_fitted(found):
     linear, fitted, main, rest = found
-    ours = linear.rows_of(linear.view.own(linear.model, (*main, *rest), linear.block))
+    ours = linear.view.rows_of(linear.view.own(linear.model, (*main, *rest), linear.block))
     start = linear.fixed.shape[1] + linear.random.shape[1]
     whole = linear.response - ours
     # the sum of parts settles as the truth does: what is left of it after the fit is noise
@@ -127,10 +127,9 @@ def test_odds_of_a_shape_between_two_are_those_of_the_whole_model():
     air, inside = (np.interp(run.time_s, fine, one) for one in (course, body))
     signal = run.signal + np.outer(inside, [0.0, 0.0, 400e-6])
     task = SearchTask(MODEL, STAND, 0.0, OneThreshold())
-    prepared, naming = find_effects(task, replace(run, temperature_c=22.0 + air, signal=signal))
+    _, naming = find_effects(task, replace(run, temperature_c=22.0 + air, signal=signal))
     assert [one.variant.family for one in naming.found] == ["thermal_bias"]
     assert naming.found[0].odds[0].probability > 0.95
-    assert naming.left < prepared.limit.value
 
 
 def test_a_fit_with_the_parts_has_no_parameters_that_the_effect_found_lacks():
@@ -142,7 +141,7 @@ def test_a_fit_with_the_parts_has_no_parameters_that_the_effect_found_lacks():
         and v.mounts == ("1", "2")
         and {ready.candidates.kinds[c].parameter for c in v.sizes} == {"mounting_offset"}
     )
-    naming = Naming((FoundEffect(offset, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(offset, 100.0, 100.0, 30.0),))
     (others,) = beside(ready.candidates, naming, fit_found(ready.linear, ready.candidates, naming, NOISE))
     alone = tuple(sizes_alone(ready.linear, others, 3))
     problem = make_problem(replace(MODEL, effects=alone), ready.linear.conditions, STAND_U)

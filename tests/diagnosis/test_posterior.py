@@ -38,7 +38,7 @@ def found(ready, *wanted):
         next(v for v in ready.candidates.variants if v.family == family and len(v.columns) == columns)
         for family, columns in wanted
     ]
-    return Naming(tuple(FoundEffect(v, 100.0, 100.0, 30.0) for v in variants), -1.0)
+    return Naming(tuple(FoundEffect(v, 100.0, 100.0, 30.0) for v in variants))
 
 
 def mixture(ready, naming):
@@ -112,7 +112,7 @@ def test_of_many_finds_the_least_sure_have_all_their_sizes(ready, monkeypatch):
 
 
 def test_nothing_found_is_the_estimate_without_effects(ready):
-    nothing = fit_found(ready.linear, ready.candidates, Naming((), -1.0), NOISE)
+    nothing = fit_found(ready.linear, ready.candidates, Naming(()), NOISE)
     plain = posterior(ready.linear, ready.candidates.columns[:, :0], NOISE)
     assert nothing.mean == pytest.approx(plain.mean, rel=1e-9, abs=1e-15)
     assert nothing.covariance == pytest.approx(plain.covariance, rel=1e-9)
@@ -142,7 +142,7 @@ def named(ready, channels, tau_min):
         for v in ready.candidates.variants
         if v.family == "warm_up" and v.channels == channels and v.shape == shape
     )
-    return Naming((FoundEffect(wanted, 100.0, 100.0, 30.0),), -1.0)
+    return Naming((FoundEffect(wanted, 100.0, 100.0, 30.0),))
 
 
 def settling(readings, sizes_v, taus_min):
@@ -179,7 +179,7 @@ def test_biases_after_a_fitted_warm_up_are_within_their_u():
 def test_what_some_channels_have_another_may_have_as_far_as_that_is_plausible():
     ready = set_up(paper_run(np.random.default_rng(5), directions=(1, -1, 1)))
     drift = next(v for v in ready.candidates.variants if v.family == "scale_drift" and v.channels == (0, 2))
-    naming = Naming((FoundEffect(drift, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(drift, 100.0, 100.0, 30.0),))
     sized = fit_found(ready.linear, ready.candidates, naming, NOISE)
     largest = max(abs(sized.amplitudes)) * ready.candidates.scale[drift.columns[0]]
     ((one,),) = beside(ready.candidates, naming, sized, {0: np.array([1.0, 0.25, 1.0])})
@@ -195,7 +195,7 @@ def test_a_voltmeter_that_is_not_linear_has_no_gain_that_could_be_told():
         for v in ready.candidates.variants
         if v.family == "voltmeter_nonlinearity" and ready.candidates.kinds[v.columns[0]].parameter == "q3"
     )
-    naming = Naming((FoundEffect(bent, 100.0, 100.0, 30.0),), -1.0)
+    naming = Naming((FoundEffect(bent, 100.0, 100.0, 30.0),))
     sized = fit_found(ready.linear, ready.candidates, naming, NOISE)
     ((gain,),) = beside(ready.candidates, naming, sized)
     cubic_v = abs(sized.amplitudes[0]) * ready.candidates.scale[bent.columns[0]]

@@ -37,7 +37,7 @@ def variant_of(ready, family, shape, channels=(1,)):
 
 
 def naming_of(variant):
-    return Naming((FoundEffect(variant, 100.0, 100.0, 30.0),), -1.0)
+    return Naming((FoundEffect(variant, 100.0, 100.0, 30.0),))
 
 
 @pytest.mark.slow
@@ -80,7 +80,7 @@ def test_u_of_a_size_contains_the_unknown_state(ready):
         for k in range(120):
             change = np.zeros((len(calm), 3))
             change[:, 1] = size_v * (calm + off[k])
-            response = linear.rows_of(change) + noise[:, k]
+            response = linear.view.rows_of(change) + noise[:, k]
             of = fit_found(
                 replace(linear, response=response), ready.candidates, naming_of(variant),
                 NoiseSize(NOISE_V, 1e-12, 120),
