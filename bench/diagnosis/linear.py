@@ -417,8 +417,6 @@ def make_linear(readings: Readings, model: ForwardModel, stand_u: Mapping[str, f
 
 def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
     """Return, for m signals, the force a (m, 3), the unit vectors along d|a|/du (m, 3), and 1 / |d|a|/du| (m,)."""
-    if not len(signal):
-        return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     force = block.specific_force(signal)
     by_signal = _unit(force) @ np.linalg.inv(block.K)
     size = np.linalg.norm(by_signal, axis=1)
@@ -426,7 +424,7 @@ def _modulus(block: Block, signal: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _unit(vectors: Floats) -> Floats:
-    return vectors / np.linalg.norm(vectors, axis=1, keepdims=True) if len(vectors) else vectors
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
 
 
 def _references(readings: Readings) -> tuple[Floats, Ints]:
@@ -465,7 +463,7 @@ def _columns(
     jacobian = np.concatenate([jacobian[:, :, :FIXED], problem.by_prior(jacobian[:, :, FIXED:])], axis=2)
     whole = np.zeros((len(label), 3, jacobian.shape[2]))
     whole[view.settings] = jacobian
-    whole[view.moduli, :, :FIXED] = coefficient_columns(unit) if len(unit) else 0.0
+    whole[view.moduli, :, :FIXED] = coefficient_columns(unit)
     beyond = np.concatenate([view.moduli, view.inputs])
     for j in range(len(problem.stand), len(problem.prior_u)):
         whole[beyond, :, FIXED + j] = own_column(problem, block, view, j)[beyond]

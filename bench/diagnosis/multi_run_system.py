@@ -276,9 +276,9 @@ def _mount_sets(linear: LinearSystem, effect: Effect) -> Iterator[tuple[tuple[st
         yield ((),)
         if readings.block is not None and effect.subsystem is Subsystem.BLOCK:
             if not any(parameter.is_shape for parameter in effect.parameters):
-                yield tuple(labels for labels in _labels(readings, readings.block))
+                yield tuple(_labels(readings, readings.block))
         elif readings.block is None and effect.name in OWN_IN_EACH_RUN:
-            yield tuple(labels for labels in _labels(readings, readings.run))
+            yield tuple(_labels(readings, readings.run))
         return
     mounts = [m for m in linear.moved.mounts if m.installation != VERIFICATION]
     if effect.lasts:

@@ -113,9 +113,6 @@ def fit_found(linear: LinearSystem, candidates: Candidates, naming: Naming, nois
     columns = candidates.columns[:, list(naming.columns)]
     extra = columns.shape[1]
     normal, right = _normal(linear, columns, noise)
-    if not extra:
-        covariance = _inverse(normal)
-        return Posterior(covariance @ right, covariance, 0)
     rest = len(normal) - extra
     free = _inverse(normal[:rest, :rest])
     gain = free @ normal[:rest, rest:]

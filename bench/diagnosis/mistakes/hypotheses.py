@@ -145,8 +145,7 @@ class Table:
 
     def chi2(self, noise_of: ProjectedReadings) -> float:
         """Return the chi-square of the readings about the model, with the noise and noise ratio of `noise_of`."""
-        size = noise_of.noise
-        table = replace(self, unit=size)
+        table = replace(self, unit=noise_of.noise)
         return table.seen(noise_of.white.setting_rad * self.typical_slope / noise_of.table.unit).square
 
     @property
