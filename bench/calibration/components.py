@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
 from bench.base.languages import message
@@ -237,12 +237,8 @@ def _basic(fit: Fit) -> list[_Term]:
     free = fit.system.free
     terms = []
     for c, size in enumerate(fit.noise.by_channel.tolist()):
-        columns = np.zeros((3 * n + len(free.left), n + len(free.left)))
-        columns[3 * np.arange(n) + c, np.arange(n)] = size
-        columns[3 * n + np.arange(len(free.left)), n + np.arange(len(free.left))] = (
-            free.by_signal[:, c] * size
-        )
-        terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
+        columns = linalg.block_diag(np.kron(np.eye(n), np.eye(3)[:, [c]]), np.diag(free.by_signal[:, c]))
+        terms.append(_Term(NOISE, CHANNELS[c], size * columns, np.array([size])))
     size = fit.noise.setting_rad or _angle(fit)
     along = _along(np.arange(n), fit.slope, size, len(free.left))
     return [*terms, _Term(SETTING, "all", along, np.array([size]))]
@@ -280,12 +276,15 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
 
 
 def _gains(what: str, groups: Ints, fit: Fit) -> Iterator[_Term]:
-    """Yield the errors of gain of each channel, one error for each of the `groups` (n,)."""
+    """Yield errors of gain of each channel, one for each of the `groups` (n,); moduli have those of readings."""
     without_bias = fit.system.jacobian[:, :, :9] @ fit.block.K.ravel()
+    joined = np.einsum("mij,ij->mi", fit.system.free.jacobian[:, :9].reshape(-1, 3, 3), fit.block.K)
     for c in np.flatnonzero(without_bias.any(axis=0)).tolist():
         of_channel = np.where(np.arange(3) == c, without_bias, 0.0)
         gain = fit.noise.by_channel[c] / rms(of_channel[:, c])
-        columns = _along(groups, of_channel, gain, len(fit.system.free.left))
+        columns = _along(groups, of_channel, gain, len(joined))
+        if what == READING_GAIN:
+            columns = linalg.block_diag(columns[: 3 * len(groups)], np.diag(joined[:, c] * gain))
         yield _Term(what, CHANNELS[c], columns, np.array([gain]))
 
 
