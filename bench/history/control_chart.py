@@ -422,7 +422,11 @@ class _Runs:
         for design in {run.design for run in (*self.baseline, *self.later)}:
             own = [run for run in self.baseline if run.design == design]
             own = own or [run for run in self.later if run.design == design]
-            found[design] = np.mean([run.covariance for run in own], axis=0) * self._noise_beside(own)
+            covariance = np.mean([run.covariance for run in own], axis=0)
+            noise = np.mean([(run.noise * widening(run.s_dof)) ** 2 for run in own], axis=0)
+            share = np.minimum(noise / np.diag(covariance), 1.0)
+            size = np.sqrt(1.0 + share * (self._noise_beside(own) - 1.0))
+            found[design] = covariance * np.outer(size, size)
         return found
 
     def _noise_beside(self, own: Sequence[CheckRun]) -> float:

@@ -249,8 +249,10 @@ def test_runs_of_another_place_are_judged_with_the_u_of_both_values_of_g(basis, 
     assert np.mean([chart.centre.scale for chart in charts]) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_run_without_some_readings_of_the_plan_has_the_noise_of_the_baseline():
-    """By chance, its own readings scatter half as much."""
-    partial = check_run(20.0, design="plan some", covariance=2.0 * COVARIANCE / 4.0, s=0.5e-4)
+@pytest.mark.parametrize("between", [0.0, 9.0])
+def test_a_run_without_some_readings_of_the_plan_has_the_noise_of_the_baseline(between):
+    """By chance, its own readings scatter half as much; what differs `between` runs stays as stated."""
+    own = {"covariance": (0.5 + between) * COVARIANCE, "noise": np.sqrt(0.5 * 34 / 36) * U, "s": 0.5e-4}
+    partial = check_run(20.0, design="plan some", **own)
     chart = control_chart(runs(10), [partial], ChartDesign(basis="stated"))
-    assert chart.shewhart.u[0] == pytest.approx(U * np.sqrt(2.0 + 0.1))
+    assert chart.shewhart.u[0] == pytest.approx(U * np.sqrt(2.0 + between + 0.1))
