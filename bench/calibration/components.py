@@ -15,11 +15,9 @@ from bench.base.numbers import scale_for, two_digits
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
 from bench.calibration.noise import (
-    LEAST_REPEATS,
     SharedRounding,
     repeat_groups,
     rounding_variance,
-    scatter_of_repeats,
 )
 from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
 from bench.model.conditions import Conditions
@@ -72,6 +70,13 @@ class SharedErrorFit:
     drift: BiasWander | None = None
     covariance: Floats | None = None
     wander: Floats | None = None
+
+    @property
+    def growing(self) -> Floats:
+        """The standard deviation (n, 3) of noise that grows with the signal, in the unit of the signal."""
+        own = [c for c in self.components if c.what == READING_GAIN]
+        of = [sum(c.size for c in own if c.channels == channel) for channel in CHANNELS]
+        return np.asarray(np.abs(self.fit.system.jacobian[:, :, :9] @ self.fit.block.K.ravel()) * of)
 
 
 @dataclass(frozen=True)
@@ -435,32 +440,6 @@ def _drift(
         course[:, c] = own @ (variance * (columns.T @ at.Py))
         size[c] = float(np.sqrt(variance)) * rms(term.unit_of)
     return BiasWander(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
-
-
-def heavy_tails(problem: Problem, fit: Fit) -> float:
-    """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
-
-    The test statistic is the excess kurtosis of the normalised deviations of repeats from their means. Its standard
-    deviation is sqrt(24/N) for N degrees of freedom.
-    """
-    if not len(problem.conditions) or fit.noise.source != "repeats":
-        return float("nan")
-    groups = repeat_groups(problem.conditions)
-    if scatter_of_repeats(fit.residuals, fit.slope, groups).settings < LEAST_REPEATS:
-        return float("nan")
-    count = np.bincount(groups)
-    means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
-    kept = count[groups] > 1
-    # a deviation from the mean of m readings has (m - 1)/m of the variance
-    left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
-    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
-    z = left / size
-    if not np.any(z):
-        return float("nan")
-    excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
-    # deviations within a group are correlated: N is their degrees of freedom
-    free = 3.0 * float((count - 1)[count > 1].sum())
-    return float(special.ndtr(-excess / np.sqrt(24.0 / free)))
 
 
 UNEQUAL_P: Final = 0.001
