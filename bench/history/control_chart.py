@@ -499,10 +499,16 @@ class _Runs:
         """
         here = self.baseline or self.later[:1]
         first = {run.place: run for run in (*here, *runs)}
-        of = [[float(run.place == place) for place in first] for run in runs]
-        centre = np.mean([[run.place == place for place in first] for run in here], axis=0)
         size = np.array([np.broadcast_to(run.of_gravity, run.value.shape) for run in first.values()])
-        return np.asarray((np.array(of) - centre)[:, None, :] * size.T)
+        if len(first) == 1:
+            return np.zeros((len(runs), size.shape[1], 1))
+        weights = np.linalg.inv(self.covariances(here))
+        if self.design.basis == "scatter":  # the centre is then the plain mean
+            weights = np.broadcast_to(np.eye(size.shape[1]), weights.shape)
+        weights = np.linalg.inv(weights.sum(axis=0)) @ weights
+        at = np.array([[run.place == place for place in first] for run in here], dtype=np.float64)
+        of = np.array([[run.place == place for place in first] for run in runs], dtype=np.float64)
+        return np.asarray(of[:, None, :] * size.T - np.einsum("mk,mpq,kq->pk", at, weights, size))
 
     def short_term(self) -> ShortTerm | None:
         behind = [run for run in self.baseline if run.s_dof > 0]
