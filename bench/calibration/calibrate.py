@@ -15,7 +15,6 @@ from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
 from bench.calibration.components import (
     SharedErrorFit,
-    heavy_tails,
     note_on_search,
     notes_on_noise,
     rounding_of,
@@ -97,11 +96,10 @@ def solve(
         start = first_guess(problem, rows.signal, resolution, nominal)
     refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
     with naming():
-        fit, found, notes = _fitted(problem, rows.signal, refit, by, chosen)
+        fit, found, doubted = _fitted(problem, rows.signal, refit, by, chosen)
     require_told(fit.noise)
     rounding = rounding_of(problem, fit, resolution)
     fit_test = gls.lack_of_fit(problem, fit, rounding)
-    tails = heavy_tails(problem, fit) if rounding is None else float("nan")
     digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
     fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
     accepted = (
@@ -109,11 +107,18 @@ def solve(
     )  # if not, large residuals of settings come from a wrong model, not from outliers
     alone = fit.covariance
     if not accepted:
-        notes = () if by.drops_outliers else _on_moving_positions(problem, fit, refit, chosen)
+        doubted = None if by.drops_outliers else _with_moving_positions(problem, fit, refit)
     # outliers that explain a misfit are no errors that readings share
-    searched = find_shared and (accepted or not notes)
+    searched = find_shared and (accepted or doubted is None)
     floor = gls.noise_floor(rows.signal, resolution, problem.free)
     shared = take_in(problem, fit, readings.unit, floor, rounding) if searched else SharedErrorFit(fit)
+    tails, notes = float("nan"), tuple[str, ...]()
+    if rounding is None:
+        tails = outliers.heavy_tails(problem, shared.fit if shared.growing.any() else fit, shared.growing)
+    if doubted is not None:
+        # one outlier may look like noise that grows with the signal: ask the other readings
+        grown = take_in(problem, doubted, readings.unit, floor).growing if shared.growing.any() else None
+        notes = _notes_on(outliers.listed(outliers.beyond(problem, doubted, grown), chosen))
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
@@ -370,19 +375,20 @@ def first_guess(
 
 def _fitted(
     problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
-) -> tuple[gls.Fit, tuple[Outlier, ...], tuple[str, ...]]:
-    """Return the estimator's fit, the outliers without weight in it, and notes on outliers with weight."""
+) -> tuple[gls.Fit, tuple[Outlier, ...], gls.Fit | None]:
+    """Return the estimator's fit, the outliers without weight in it, and a fit without those that have weight."""
     fit = refit()
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
     if fit.noise.reading < ROUNDING * largest:
-        return fit, (), ()
+        return fit, (), None
     task = WeightingTask(problem, signal, fit, lambda shifts: refit(shifts=shifts))
     fit = by.weigh(task)
     if by.drops_outliers:
-        return fit, outliers.listed(fit, chosen), ()
+        return fit, outliers.listed(fit, chosen), None
     # one outlier is enough for a note, but in free positions alone several may mask each other
     most = outliers.most_outliers(problem) if problem.upper else 1
-    return fit, (), _notes_on(outliers.listed(outliers.search(problem, task.fit, task.refit, most), chosen))
+    without = outliers.search(problem, task.fit, task.refit, most)
+    return fit, (), without if without.shifts else None
 
 
 def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
@@ -392,17 +398,14 @@ def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
     )
 
 
-def _on_moving_positions(
-    problem: Problem, fit: gls.Fit, refit: partial[gls.Fit], chosen: FittedRows
-) -> tuple[str, ...]:
-    """Return notes on outliers of a fit that is not accepted, if they are free positions and explain the misfit."""
+def _with_moving_positions(problem: Problem, fit: gls.Fit, refit: partial[gls.Fit]) -> gls.Fit | None:
+    """Return a fit without the outliers of one that is not accepted, if they are free positions and explain it."""
     if problem.free is None or fit.shifts:
-        return ()
+        return None
     most = outliers.most_outliers(problem)
     without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
-    moving = all(shift.channel == gls.MODULUS for shift in without.shifts)
-    explained = moving and gls.lack_of_fit(problem, without).accepted()
-    return _notes_on(outliers.listed(without, chosen)) if explained else ()
+    moving = bool(without.shifts) and all(shift.channel == gls.MODULUS for shift in without.shifts)
+    return without if moving and gls.lack_of_fit(problem, without).accepted() else None
 
 
 def _birge(test: LackOfFit, shared: SharedErrorFit) -> float:

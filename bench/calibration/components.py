@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-from scipy import special
+from scipy import linalg, special
 
 from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
 from bench.base.languages import message
@@ -15,11 +15,9 @@ from bench.base.numbers import scale_for, two_digits
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
 from bench.calibration.noise import (
-    LEAST_REPEATS,
     SharedRounding,
     repeat_groups,
     rounding_variance,
-    scatter_of_repeats,
 )
 from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
 from bench.model.conditions import Conditions
@@ -72,6 +70,13 @@ class SharedErrorFit:
     drift: BiasWander | None = None
     covariance: Floats | None = None
     wander: Floats | None = None
+
+    @property
+    def growing(self) -> Floats:
+        """The standard deviation (n, 3) of noise that grows with the signal, in the unit of the signal."""
+        own = [c for c in self.components if c.what == READING_GAIN]
+        of = [sum(c.size for c in own if c.channels == channel) for channel in CHANNELS]
+        return np.asarray(np.abs(self.fit.system.jacobian[:, :, :9] @ self.fit.block.K.ravel()) * of)
 
 
 @dataclass(frozen=True)
@@ -237,12 +242,8 @@ def _basic(fit: Fit) -> list[_Term]:
     free = fit.system.free
     terms = []
     for c, size in enumerate(fit.noise.by_channel.tolist()):
-        columns = np.zeros((3 * n + len(free.left), n + len(free.left)))
-        columns[3 * np.arange(n) + c, np.arange(n)] = size
-        columns[3 * n + np.arange(len(free.left)), n + np.arange(len(free.left))] = (
-            free.by_signal[:, c] * size
-        )
-        terms.append(_Term(NOISE, CHANNELS[c], columns, np.array([size])))
+        columns = linalg.block_diag(np.kron(np.eye(n), np.eye(3)[:, [c]]), np.diag(free.by_signal[:, c]))
+        terms.append(_Term(NOISE, CHANNELS[c], size * columns, np.array([size])))
     size = fit.noise.setting_rad or _angle(fit)
     along = _along(np.arange(n), fit.slope, size, len(free.left))
     return [*terms, _Term(SETTING, "all", along, np.array([size]))]
@@ -280,12 +281,15 @@ def _further(conditions: Conditions, fit: Fit) -> Iterator[_Term]:
 
 
 def _gains(what: str, groups: Ints, fit: Fit) -> Iterator[_Term]:
-    """Yield the errors of gain of each channel, one error for each of the `groups` (n,)."""
+    """Yield errors of gain of each channel, one for each of the `groups` (n,); moduli have those of readings."""
     without_bias = fit.system.jacobian[:, :, :9] @ fit.block.K.ravel()
+    joined = np.einsum("mij,ij->mi", fit.system.free.jacobian[:, :9].reshape(-1, 3, 3), fit.block.K)
     for c in np.flatnonzero(without_bias.any(axis=0)).tolist():
         of_channel = np.where(np.arange(3) == c, without_bias, 0.0)
         gain = fit.noise.by_channel[c] / rms(of_channel[:, c])
-        columns = _along(groups, of_channel, gain, len(fit.system.free.left))
+        columns = _along(groups, of_channel, gain, len(joined))
+        if what == READING_GAIN:
+            columns = linalg.block_diag(columns[: 3 * len(groups)], np.diag(joined[:, c] * gain))
         yield _Term(what, CHANNELS[c], columns, np.array([gain]))
 
 
@@ -436,32 +440,6 @@ def _drift(
         course[:, c] = own @ (variance * (columns.T @ at.Py))
         size[c] = float(np.sqrt(variance)) * rms(term.unit_of)
     return BiasWander(size, course, line @ course / (line @ line), float(np.ptp(time_h)))
-
-
-def heavy_tails(problem: Problem, fit: Fit) -> float:
-    """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
-
-    The test statistic is the excess kurtosis of the normalised deviations of repeats from their means. Its standard
-    deviation is sqrt(24/N) for N degrees of freedom.
-    """
-    if not len(problem.conditions) or fit.noise.source != "repeats":
-        return float("nan")
-    groups = repeat_groups(problem.conditions)
-    if scatter_of_repeats(fit.residuals, fit.slope, groups).settings < LEAST_REPEATS:
-        return float("nan")
-    count = np.bincount(groups)
-    means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
-    kept = count[groups] > 1
-    # a deviation from the mean of m readings has (m - 1)/m of the variance
-    left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
-    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope[kept]) ** 2)
-    z = left / size
-    if not np.any(z):
-        return float("nan")
-    excess = float(np.mean(z**4) / np.mean(z**2) ** 2 - 3.0)
-    # deviations within a group are correlated: N is their degrees of freedom
-    free = 3.0 * float((count - 1)[count > 1].sum())
-    return float(special.ndtr(-excess / np.sqrt(24.0 / free)))
 
 
 UNEQUAL_P: Final = 0.001

@@ -84,11 +84,15 @@ class FittedEffect:
     u: float
     unit: str
 
+    def __str__(self) -> str:
+        """Return the name and, if it is known, the value."""
+        return f"{self.name} = {self.value:.6g} {self.unit}" if math.isfinite(self.value) else self.name
+
 
 class FittedEffectPart(ResultModel):
     """A parameter of an effect of the block that a = N (U − U0) leaves out."""
 
-    value: float
+    value: Real
     u: Real = Field(description="standard uncertainty")
     unit: str
 
@@ -329,7 +333,7 @@ class BlockResult:
         if self.temperature:
             told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"
         if self.effects:
-            listed = ", ".join(f"{one.name} = {one.value:.6g} {one.unit}" for one in self.effects)
+            listed = ", ".join(map(str, self.effects))
             told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
         told |= {f"note {number}": note for number, note in enumerate(self.notes, 1)}
         return {name: one_line(text) for name, text in told.items()}

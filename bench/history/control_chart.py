@@ -422,7 +422,11 @@ class _Runs:
         for design in {run.design for run in (*self.baseline, *self.later)}:
             own = [run for run in self.baseline if run.design == design]
             own = own or [run for run in self.later if run.design == design]
-            found[design] = np.mean([run.covariance for run in own], axis=0) * self._noise_beside(own)
+            covariance = np.mean([run.covariance for run in own], axis=0)
+            noise = np.mean([(run.noise * widening(run.s_dof)) ** 2 for run in own], axis=0)
+            share = np.minimum(noise / np.diag(covariance), 1.0)
+            size = np.sqrt(1.0 + share * (self._noise_beside(own) - 1.0))
+            found[design] = covariance * np.outer(size, size)
         return found
 
     def _noise_beside(self, own: Sequence[CheckRun]) -> float:
@@ -495,10 +499,16 @@ class _Runs:
         """
         here = self.baseline or self.later[:1]
         first = {run.place: run for run in (*here, *runs)}
-        of = [[float(run.place == place) for place in first] for run in runs]
-        centre = np.mean([[run.place == place for place in first] for run in here], axis=0)
         size = np.array([np.broadcast_to(run.of_gravity, run.value.shape) for run in first.values()])
-        return np.asarray((np.array(of) - centre)[:, None, :] * size.T)
+        if len(first) == 1:
+            return np.zeros((len(runs), size.shape[1], 1))
+        weights = np.linalg.inv(self.covariances(here))
+        if self.design.basis == "scatter":  # the centre is then the plain mean
+            weights = np.broadcast_to(np.eye(size.shape[1]), weights.shape)
+        weights = np.linalg.inv(weights.sum(axis=0)) @ weights
+        at = np.array([[run.place == place for place in first] for run in here], dtype=np.float64)
+        of = np.array([[run.place == place for place in first] for run in runs], dtype=np.float64)
+        return np.asarray(of[:, None, :] * size.T - np.einsum("mk,mpq,kq->pk", at, weights, size))
 
     def short_term(self) -> ShortTerm | None:
         behind = [run for run in self.baseline if run.s_dof > 0]

@@ -217,6 +217,18 @@ def test_an_unfit_calibration_is_written_as_such_and_not_accepted(bench):
     assert result["effects"]["quadratic_nonlinearity.K2[x]"]["value"] == 400.0
 
 
+def test_an_effect_without_a_value_in_a_result_is_named_all_the_same(bench):
+    """A file that was edited, or comes from another program."""
+    told = json.loads((RECORDS / "calibrate.json").read_text())
+    told["effects"] = {"quadratic_nonlinearity.K2[x]": {"unit": "ug/g^2"}}
+    Path("edited.json").write_text(json.dumps(told))
+    out = printed(bench("coefficients", "edited.json", "--json", "out.json"))
+    assert "leaves out what the model has beside K and U0: quadratic_nonlinearity.K2[x]\n" in out
+    assert (
+        json.loads(Path("out.json").read_text())["effects"]["quadratic_nonlinearity.K2[x]"]["value"] is None
+    )
+
+
 def _effect(value, unit):
     return {"value": value, "u": 18.0, "unit": unit, "told_by_data": True}
 

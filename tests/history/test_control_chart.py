@@ -222,16 +222,21 @@ def test_stated_u_of_a_noise_from_few_readings_rejects_no_more_good_runs_than_st
     assert chart.centre.p_joint(chart.limit_t2) == pytest.approx(nominal)
 
 
-def at_two_places(seed: int, baseline: list[int], design: ChartDesign):
-    """The chart of runs at two places, whose values of g are wrong; 0 and 1 are the places of the baseline."""
+def at_two_places(seed: int, baseline: list[int], design: ChartDesign, u_there: float = 1.0):
+    """The chart of runs at two places, whose values of g are wrong; 0 and 1 are the places of the baseline.
+
+    u of a run at place 1 is `u_there` times that at place 0.
+    """
     rng, of_g = np.random.default_rng(seed), np.where(np.arange(12) < 4, 10 * U, 0.0)
     wrong = rng.normal(size=2)
     own = [
         check_run(
             float(k),
-            rng.normal(size=12) + wrong[place] * of_g / U,
+            u_there**place * rng.normal(size=12) + wrong[place] * of_g / U,
             place=9.81 + 0.01 * place,
             of_gravity=of_g,
+            covariance=u_there ** (2 * place) * COVARIANCE,
+            design=f"plan-{place if u_there != 1.0 else 0}",
         )
         for k, place in enumerate([*baseline, 0, 1])
     ]
@@ -239,18 +244,27 @@ def at_two_places(seed: int, baseline: list[int], design: ChartDesign):
 
 
 @pytest.mark.parametrize("basis", ["stated", "scaled"])
-@pytest.mark.parametrize("baseline", [[0, 0, 0, 0, 0], [0, 0, 1, 0, 1, 1]])
-def test_runs_of_another_place_are_judged_with_the_u_of_both_values_of_g(basis, baseline):
+@pytest.mark.parametrize(
+    ("baseline", "u_there"), [([0, 0, 0, 0, 0], 1.0), ([0, 0, 1, 0, 1, 1], 1.0), ([0, 0, 1, 0, 1, 1], 3.0)]
+)
+def test_runs_of_another_place_are_judged_with_the_u_of_both_values_of_g(basis, baseline, u_there):
+    """Of places with unequal u, the one with the smaller u has most of the weight in the centre."""
     design, count = ChartDesign(basis=basis), 100
-    charts = [at_two_places(seed, baseline, design) for seed in range(count)]
+    charts = [at_two_places(seed, baseline, design, u_there) for seed in range(count)]
     for run in (0, 1):
-        below = sum(chart.shewhart.p_joint[run] < 0.1 for chart in charts)
-        assert below == pytest.approx(0.1 * count, abs=4 * np.sqrt(0.09 * count))
+        for p in (
+            [chart.shewhart.p_joint[run] for chart in charts],
+            [chart.shewhart.p[run, 0] for chart in charts],
+        ):
+            below = np.sum(np.array(p) < 0.1)
+            assert below == pytest.approx(0.1 * count, abs=4 * np.sqrt(0.09 * count))
     assert np.mean([chart.centre.scale for chart in charts]) == pytest.approx(1.0, abs=0.1)
 
 
-def test_a_run_without_some_readings_of_the_plan_has_the_noise_of_the_baseline():
-    """By chance, its own readings scatter half as much."""
-    partial = check_run(20.0, design="plan some", covariance=2.0 * COVARIANCE / 4.0, s=0.5e-4)
+@pytest.mark.parametrize("between", [0.0, 9.0])
+def test_a_run_without_some_readings_of_the_plan_has_the_noise_of_the_baseline(between):
+    """By chance, its own readings scatter half as much; what differs `between` runs stays as stated."""
+    own = {"covariance": (0.5 + between) * COVARIANCE, "noise": np.sqrt(0.5 * 34 / 36) * U, "s": 0.5e-4}
+    partial = check_run(20.0, design="plan some", **own)
     chart = control_chart(runs(10), [partial], ChartDesign(basis="stated"))
-    assert chart.shewhart.u[0] == pytest.approx(U * np.sqrt(2.0 + 0.1))
+    assert chart.shewhart.u[0] == pytest.approx(U * np.sqrt(2.0 + between + 0.1))
