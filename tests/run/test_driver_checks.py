@@ -23,6 +23,7 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     Inclination,
+    LimitExceeded,
     NoAnswer,
     OutputSettings,
     OutputState,
@@ -198,4 +199,13 @@ def test_a_driver_with_other_arguments_is_refused_before_the_run(monkeypatch):
     with pytest.raises(
         BenchError, match=r"voltmeter\.x: its driver cannot be made \(TypeError: .* correct drivers"
     ):
+        made()
+
+
+def test_what_a_driver_itself_refuses_keeps_its_remedy(monkeypatch):
+    def refuse(meter, name, *given, **options):
+        raise LimitExceeded(name, "cannot do channel 99", "correct its lines in the bench file")
+
+    monkeypatch.setattr(Agilent34401A, "__init__", refuse)
+    with pytest.raises(LimitExceeded, match=r"^voltmeter\.x: cannot do channel 99; correct its lines"):
         made()
