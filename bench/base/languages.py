@@ -127,15 +127,16 @@ _AROUND: Final = re.compile(r"([\s:;,.([«»✓✗⚠▶○■●–·]*)(.*?)([
 _SURE, _SHORT = 5, 60
 """In an entry of fewer than `_SURE` letters, the value of a blank may have at most `_SHORT` characters."""
 _SENTENCE_END: Final = re.compile(r"(?<=[.?!]) (?=[A-Z(]|[-−]?\d)")
-_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^\S+: |^[,;:] ")
+_CLAUSE_END: Final = re.compile(r"; |[.?!] (?=[A-Z(])|^\S+: |^[,;:] |  ")
 _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 _TYPED: Final = re.compile(
     r"'bench [^']*'|: bench .*|'\{\d+\}'|(?:choose from|known:|known are|kept in|columns?) \{\d+\}"
     r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
     r"|(?:shipped|latest|latest runs) are: .*|^\{0\}: assumed from plausible"
+    r"|^\{0\}(?=: \{1\}: (?:worst|\{2\}; correct it))|(?:bench file|^Tumble|^Calibration) of \{0\}"
 )
-"""The parts of an entry whose blanks hold what is typed or quoted (a command, path or key): their values stay."""
+"""The parts of an entry whose blanks hold what is typed or quoted (command, path, key, run): their values stay."""
 
 
 @dataclass(frozen=True)

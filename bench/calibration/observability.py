@@ -95,8 +95,10 @@ class Direction:
         ratios = " : ".join(
             f"{self.members[name] / self.members[names[0]]:.2g}" for name in names[:_MOST_NAMED]
         )
-        more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-        return message(f"{', '.join(names[:_MOST_NAMED])} in the ratio {ratios}{more}")
+        first, more = ", ".join(names[:_MOST_NAMED]), len(names) - _MOST_NAMED
+        if more <= 0:
+            return message(f"{first} in the ratio {ratios}")
+        return message(f"{first} in the ratio {ratios} and {more} more")
 
     def _changed(self, unit: str) -> str:
         """Return the changes of coefficients in words, per arcsecond if the first member is an angle."""

@@ -378,7 +378,9 @@ def _by_point(check: VerificationPart) -> Iterator[Row]:
             message(f"{point.point} at {point.angle_deg:g}°"),
             f"{1e6 * point.u:.1f} µg",
             f"{1e6 * point.U:.1f} µg",
-            f"{1e6 * point.accepted_up_to:.1f} µg" if point.accepted_up_to > 0 else message("nothing"),
+            f"{1e6 * point.accepted_up_to:.1f} µg"
+            if point.accepted_up_to > 0
+            else translated(message("nothing")),
             f"{100 * point.passes:.4g} %",
             max(point.by_source, key=point.by_source.__getitem__),
             bad=not point.capable,

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from pydantic import Field
 from rich.console import Console
+from rich.text import Text
 
 from bench.base.languages import message, translated
 from bench.base.numbers import rounded, typeset, uncertainty
@@ -134,7 +135,8 @@ def print_confirmation(source: str, found: Confirmation, notes: Sequence[str], o
     )
     ties = dict.fromkeys(map(either_in_words, found.effects))
     told = "; ".join([*filter(None, ties), closed])
-    out.print(f"{source}: {translated(VERDICTS[found.verdict]).upper()}: {translated(told)}", style="bold")
+    line = f"{source}: {translated(VERDICTS[found.verdict]).upper()}: {translated(told)}"
+    out.print(Text(line), style="bold")
 
 
 VERDICTS: Final[dict[Word, str]] = {

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final
 import numpy as np
 from pydantic import Field
 from rich.console import Console
+from rich.text import Text
 
 from bench.base.languages import local_number, message, translated
 from bench.base.numbers import concise, quantity, typeset
@@ -351,7 +352,8 @@ def print_found(full: FullDiagnosis | MistakesAlone, files: Files, out: Console)
 def print_verdict(source: str, found: Findings, what: str, then: Iterable[str], out: Console) -> None:
     """Print the last line of a diagnosis: its source, its verdict, `what` was found, and the clauses `then`."""
     told = [words.by_clause(typeset(what)), *(translated(typeset(clause)) for clause in then if clause)]
-    out.print(f"{source}: {translated(words.lead(found)).upper()}: {'; '.join(told)}", style="bold")
+    line = f"{source}: {translated(words.lead(found)).upper()}: {'; '.join(told)}"
+    out.print(Text(line), style="bold")  # not translated twice, which would translate the name
 
 
 def print_several(results: Sequence[tuple[FullDiagnosis, Files]], out: Console) -> None:

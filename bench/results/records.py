@@ -10,7 +10,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.text import Text
 
-from bench.base.languages import message, translated
+from bench.base.languages import HEADING, message, translated
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import civil_minute
@@ -27,6 +27,9 @@ _NAME: Final = 19
 """Width of the column of names; the whole line then has 80 characters."""
 _SAID: Final = ("answered", "answer_refused")
 _LABELS: Final = {
+    "created": message("created", "heading"),
+    "dry_run": message("dry run", "heading"),
+    "seed": message("seed", "heading"),
     "format": message("format of the record"),
     "imported": message("imported from"),
     "imported_from": message("imported from"),
@@ -42,11 +45,16 @@ _LABELS: Final = {
     "until": message("goals of the run"),
     "check_block": message("check block at the start"),
     "files": message("SHA-256 of the files"),
-    "limit_g": "limit in g",
-    "guard_band": "guard band",
-    "false_acceptance": "false acceptance",
+    "limit_g": message("limit in g", "heading"),
+    "guard_band": message("guard band", "heading"),
+    "false_acceptance": message("false acceptance"),
+    "rule": message("rule", "heading"),
+    "type": message("type", "heading"),
+    "serial": message("serial", "heading"),
 }
 """The label in `bench show` of each member of a manifest, or of a part of it, whose name does not explain it."""
+_NAMES: Final = ("name", "operator", "procedure", "bench file", "imported from", "unit_under_test")
+"""The labels of names, which are shown as they are, also where they are words."""
 
 
 class RunPart(ResultModel):
@@ -148,7 +156,10 @@ class ShowResult(RunPart):
         labelled["operator"] = run.history.progress.operators(labelled.get("operator"))
         for label, value in labelled.items():
             if value not in ("", None):
-                out.print(f"{label.replace('_', ' ')}: {_text(value)}")
+                text = _text(value)
+                shown = text if label in _NAMES else translated(text)
+                context = HEADING if label in {*_LABELS, *_LABELS.values()} else ""
+                out.print(Text(f"{translated(label.replace('_', ' '), context)}: {shown}"))
         if supply:
             out.print(f"supply of the block: {supply}")
         if verified:
@@ -173,7 +184,9 @@ def _text(value: object) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        return ", ".join(f"{_LABELS.get(name, name)} {part}" for name, part in value.items())
+        return ", ".join(
+            f"{translated(_LABELS.get(str(name), str(name)), HEADING)} {part}" for name, part in value.items()
+        )
     return str(value)
 
 

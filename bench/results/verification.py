@@ -156,7 +156,7 @@ def verification_table(found: Verification) -> Table:
         ">false accept", ">false reject", "statement",
     )  # fmt: skip
     for p in found.points:
-        up_to = f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else "nothing"
+        up_to = f"{p.accepted_up_to * 1e6:.1f} µg" if p.accepted_up_to > 0 else translated(message("nothing"))
         shown.add_row(
             place_in_words(p),
             f"{p.angle_deg:.4f}°",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from numbers import Real
 from pathlib import Path
 from traceback import walk_tb
@@ -137,7 +138,7 @@ def checked_position(head: Instrument, position: HeadPosition) -> HeadPosition:
     angle_rad = _number(head, "move", given.angle_rad)
     if not math.isfinite(angle_rad) or given.direction not in (1, -1):
         raise _returns(head, "move", position, message("an angle and a direction"))
-    return HeadPosition(angle_rad, given.direction)
+    return HeadPosition(angle_rad, 1 if given.direction == 1 else -1)
 
 
 def checked_inclination(level: Instrument, inclination: Inclination) -> Inclination:
@@ -150,14 +151,15 @@ def checked_inclination(level: Instrument, inclination: Inclination) -> Inclinat
 
 
 def checked_states(supply: Instrument, states: Mapping[str, OutputState]) -> Mapping[str, OutputState]:
-    """Return the result of `state`. Raises `BenchError` if it is no dict of `OutputState`s with numbers."""
+    """Return the result of `state` with plain floats. Raises `BenchError` if it is no dict of `OutputState`s."""
     if not isinstance(states, Mapping):
         raise _returns(supply, "state", states, message("the state of each output"))
-    for state in states.values():
+    checked = {}
+    for output, state in states.items():
         given: OutputState = _of_type(supply, "state", state, OutputState)
-        for value in (given.voltage_v, given.current_a):
-            _number(supply, "state", value)
-    return states
+        voltage_v, current_a = (_number(supply, "state", one) for one in (given.voltage_v, given.current_a))
+        checked[output] = replace(given, voltage_v=voltage_v, current_a=current_a)
+    return checked
 
 
 def _of_type(instrument: Instrument, method: str, value: Any, kind: type[Any]) -> Any:

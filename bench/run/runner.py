@@ -45,6 +45,7 @@ from bench.run.power import NAP_S, UnitPower, take_up
 from bench.run.record import Record, ResumePoint
 from bench.run.resume import (
     PlanProgress,
+    Redo,
     end_of_point,
     how_to_go_on,
     is_still_to_be_read,
@@ -140,6 +141,7 @@ class Runner:
     at_resumed_time: Callable[[float], None] | None = None
     _zero_s: float = 0.0
     _soak_due: bool = False
+    _index: int | None = None
 
     def __post_init__(self) -> None:
         people, bench, recorder = self.people, self.bench, self.recorder
@@ -218,6 +220,7 @@ class Runner:
     def _carry_out(self, start: int) -> None:
         index = start
         while (index := self._choose(index)) < len(self.plan.steps) or self.progress.doubt is not None:
+            self._index = index
             try:
                 if self._ask_in_doubt():
                     continue
@@ -345,25 +348,34 @@ class Runner:
 
         Obey a wish to abort. After a wish to pause, start the preparation over. Refuse every other wish.
         """
-        while True:
-            try:
-                prepare()
-                return
-            except OperatorWish as wish:
-                if wish.control.wish is Wish.ABORT:
-                    raise self._aborted(wish.control) from None
-                if wish.control.wish is not Wish.PAUSE:
-                    self._refuse(wish.control, 0, message("no step is running yet"))
+        index, self._index = self._index, None
+        try:
+            while True:
+                try:
+                    prepare()
+                    return
+                except OperatorWish as wish:
+                    if wish.control.wish is Wish.ABORT:
+                        raise self._aborted(wish.control) from None
+                    if why := self._why_not(wish.control, None):
+                        self._refuse(wish.control, why)
+        finally:
+            self._index = index
 
     # --- wishes --------------------------------------------------------------------------------------
 
     def _poll_wishes(self) -> None:
-        """Raise `OperatorWish` or `Stopped` if a wish has arrived."""
+        """Raise `OperatorWish` or `Stopped` if a wish has arrived.
+
+        A wish that cannot be obeyed is refused here, so that no soak or switching under way begins again.
+        """
         if self.people.asker is not None:
             self.people.asker.drain()
-        control = self.people.controls.poll()
-        if control is not None:
+        if (control := self.people.controls.poll()) is None:
+            return
+        if not (why := self._why_not(control, self._index)):
             raise raised(control)
+        self._refuse(control, why)
 
     def _answerer(self) -> WishAuthor:
         return NOBODY_KNOWN if self.people.asker is None else self.people.asker.answered_by
@@ -372,25 +384,17 @@ class Runner:
         """Obey a wish received at step `index`; return the step to continue with."""
         if control.by_person and control.who == NOBODY_KNOWN:
             control = replace(control, who=self._answerer())
-        if control.wish not in HEARD[self.recorder.record.state]:
-            return self._refuse(control, index, f"the run is {self.recorder.record.state}")
+        if why := self._why_not(control, index):
+            self._refuse(control, why)
+            return index
         match control.wish:
             case Wish.PAUSE:
                 return self._pause(control, index)
             case Wish.CONTINUE:
                 self._emit(EventType.RUN_CONTINUED, **control.who.to_json())
-                return index
             case Wish.REPEAT_POINT | Wish.REPEAT_PASS | Wish.MOUNT_AGAIN:
-                return self._redo(control, index)
-            case Wish.SKIP if self.progress.doubt is not None:
-                first = message("first answer the question about the reading in doubt")
-                return self._refuse(control, index, first)
-            case Wish.SKIP if isinstance(self.plan.steps[index], Mount):
-                needed = message("the block must be mounted before the readings that follow")
-                return self._refuse(control, index, needed)
-            case Wish.SKIP if self._is_switched_otherwise(self.plan.steps[index]):
-                switched = message("the block must be switched as planned before the readings that follow")
-                return self._refuse(control, index, switched)
+                if (found := redo_from(self.plan, self.progress, control.wish, index)) is not None:
+                    return self._redo(control, found, index)
             case Wish.SKIP:
                 last = end_of_point(self.plan, index) - 1
                 self._emit(EventType.SKIPPED, first=index, last=last, **control.reason_and_author())
@@ -399,6 +403,29 @@ class Runner:
                 raise self._aborted(control)
             case Wish.STOP:
                 raise Stopped(control)
+        return index
+
+    def _why_not(self, control: RunControl, index: int | None) -> str:
+        """Return why a wish at step `index` (None: before the steps) cannot be obeyed, or an empty string."""
+        wish, state = control.wish, self.recorder.record.state
+        if index is None:
+            kept = wish in (Wish.PAUSE, Wish.ABORT, Wish.STOP)
+            return "" if kept else message("no step is running yet")
+        if wish not in HEARD[state]:
+            return f"the run is {state}"
+        if wish in (Wish.REPEAT_POINT, Wish.REPEAT_PASS, Wish.MOUNT_AGAIN):
+            if self._workbench.platform_moved:
+                return message("the platform was levelled since the last point")
+            if redo_from(self.plan, self.progress, wish, index) is None:
+                return message("no point was measured since the block was mounted or switched")
+        if wish is Wish.SKIP:
+            if self.progress.doubt is not None:
+                return message("first answer the question about the reading in doubt")
+            if isinstance(self.plan.steps[index], Mount):
+                return message("the block must be mounted before the readings that follow")
+            if self._is_switched_otherwise(self.plan.steps[index]):
+                return message("the block must be switched as planned before the readings that follow")
+        return ""
 
     def _is_switched_otherwise(self, step: Step) -> bool:
         power = self._workbench.power
@@ -408,9 +435,8 @@ class Runner:
         self._emit(EventType.RUN_ABORTED, **control.reason_and_author())
         return RunAborted(control.reason)
 
-    def _refuse(self, control: RunControl, index: int, why: str) -> int:
+    def _refuse(self, control: RunControl, why: str) -> None:
         self._emit(EventType.WISH_REFUSED, wish=control.wish.value, why=why, **control.who.to_json())
-        return index
 
     def _pause(self, pause: RunControl, index: int) -> int:
         """Wait, with the bench idle, until a wish ends the pause; return the step to continue with."""
@@ -435,15 +461,8 @@ class Runner:
             return wish.control
         return RunControl(Wish.CONTINUE, by_person=True, who=self._answerer())
 
-    def _redo(self, control: RunControl, index: int) -> int:
+    def _redo(self, control: RunControl, found: Redo, index: int) -> int:
         """Repeat the last point, or its whole pass, from its first turn; return the step to continue with."""
-        if self._workbench.platform_moved:
-            return self._refuse(control, index, message("the platform was levelled since the last point"))
-        found = redo_from(self.plan, self.progress, control.wish, index)
-        if found is None:
-            return self._refuse(
-                control, index, message("no point was measured since the block was mounted or switched")
-            )
         request = {"wish": control.wish.value, **control.who.to_json()}
         self._emit(EventType.REDO, first=found.first, last=found.last, **request)
         if found.mount is not None:

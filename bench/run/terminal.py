@@ -129,9 +129,10 @@ def typing_help(prompt: Prompt, wishes: Collection[Wish]) -> str:
     if prompt.kind is PromptKind.CONFIRM and prompt.action["do"] in ("ask", "answer", "confirm_reading"):
         answer = message("yes, or no")
     if prompt.kind is PromptKind.NUMBER:
-        answer += message(f" in {prompt.unit}") if prompt.unit else ""
-        answer += "" if prompt.minimum is None else message(f", {prompt.minimum:g} at least")
-        answer += "" if prompt.maximum is None else message(f", {prompt.maximum:g} at most")
+        parts = [message(f"a number in {prompt.unit}") if prompt.unit else answer]
+        parts.append("" if prompt.minimum is None else message(f", {prompt.minimum:g} at least"))
+        parts.append("" if prompt.maximum is None else message(f", {prompt.maximum:g} at most"))
+        answer = "".join(map(translated, parts))
     lines = [translated(message("What can be typed here:")), f"  {translated(answer)}"]
     if prompt.default is not None:
         lines.append("  " + translated(message(f"Enter alone: {prompt.default}")))

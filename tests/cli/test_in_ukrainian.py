@@ -164,3 +164,41 @@ def test_a_heading_is_translated_where_a_key_of_the_same_name_stays():
 def test_a_mistake_in_the_signals_is_told_in_ukrainian(english, ukrainian):
     with speaking("uk"):
         assert translated(english) == ukrainian
+
+
+def test_the_name_of_a_run_stays_where_it_is_a_word_of_the_catalogue(at_the_bench, capsys):
+    assert translated_in_ukrainian("none") == "немає"
+    at_the_bench("run", "quick", "--dry-run", "--name", "none", status=0)
+    assert at_the_bench("verify", "none", status=0).splitlines()[-1].startswith("none: ПРОЙДЕНО: ")
+    assert (
+        at_the_bench("diagnose", "none", status=0).splitlines()[-1].startswith("none: НІЧОГО НЕ ЗНАЙДЕНО: ")
+    )
+    assert "файл стенда для none: " in at_the_bench("compare", "none", "none", status=0)
+    assert "Калібрування none: gls" in at_the_bench("calibrate", "none", status=0)
+    with pytest.raises(SystemExit):
+        main(["show", "none"])  # it shows the English name of the block
+    shown = capsys.readouterr().out
+    assert shown.startswith("назва: none\nстворено: ")
+    assert "пробний сеанс: так" in shown
+    assert "методика: " in shown
+    assert "закріпити блок у встановленні 1" in shown
+
+
+def translated_in_ukrainian(text):
+    with speaking("uk"):
+        return translated(text)
+
+
+@pytest.mark.parametrize(
+    ("english", "ukrainian"),
+    [
+        ("wait 2 h: soak at 23 °C", "чекати 2 h: витримка за 23 °C"),
+        ("installation 2 (series 8), pass 1, point 3", "встановлення 2 (серія 8), прохід 1, точка 3"),
+        (
+            "    5  40 min  mount the block in installation 1",
+            "    5  40 min  закріпити блок у встановленні 1",
+        ),
+    ],
+)
+def test_each_line_of_steps_and_events_is_wholly_ukrainian(english, ukrainian):
+    assert translated_in_ukrainian(english) == ukrainian

@@ -23,6 +23,7 @@ from drivers.interfaces import (
     HeadPosition,
     Identity,
     Inclination,
+    LimitExceeded,
     NoAnswer,
     OutputSettings,
     OutputState,
@@ -168,8 +169,11 @@ def test_a_state_of_a_supply_that_is_none_is_refused(states, words):
 
 
 def test_numbers_of_numpy_become_plain(tmp_path):
-    position = checked_position(Head(Bench()), HeadPosition(np.float32(0.5), 1))
-    assert type(position.angle_rad) is float
+    position = checked_position(Head(Bench()), HeadPosition(np.float32(0.5), np.int64(-1)))
+    assert (type(position.angle_rad), type(position.direction)) == (float, int)
+    state = OutputState(True, SETTINGS, np.float32(15.0), np.float32(0.05))
+    state = checked_states(Head(Bench()), {"P25V": state})["P25V"]
+    assert (type(state.voltage_v), type(state.current_a)) == (float, float)
     assert type(checked_temperature(Head(Bench()), "block_c", np.float32(23.0))) is float
 
 
@@ -198,4 +202,13 @@ def test_a_driver_with_other_arguments_is_refused_before_the_run(monkeypatch):
     with pytest.raises(
         BenchError, match=r"voltmeter\.x: its driver cannot be made \(TypeError: .* correct drivers"
     ):
+        made()
+
+
+def test_what_a_driver_itself_refuses_keeps_its_remedy(monkeypatch):
+    def refuse(meter, name, *given, **options):
+        raise LimitExceeded(name, "cannot do channel 99", "correct its lines in the bench file")
+
+    monkeypatch.setattr(Agilent34401A, "__init__", refuse)
+    with pytest.raises(LimitExceeded, match=r"^voltmeter\.x: cannot do channel 99; correct its lines"):
         made()

@@ -350,6 +350,7 @@ def test_no_wish_makes_a_reading_of_a_block_that_is_off_or_cold(run, wish, when)
     assert all(one["rails"] for one in readings)
     answers = [event.type for event in history.events if event.type in {"wish_refused", "skipped"}]
     assert answers == (["skipped"] if wish is Wish.SKIP and when != ON + OFF else ["wish_refused"])
+    assert switched(supply) == ON + OFF + ON + OFF  # what is refused switches the block no further time
 
 
 def test_a_point_that_is_left_out_leaves_the_switching_after_it(run):

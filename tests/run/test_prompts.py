@@ -175,3 +175,10 @@ def test_wishes_left_in_the_folder_are_heard_once_and_in_order(tmp_path):
         file.write('{"wish": "redo"')
     heard = [controls.poll() for _ in range(4)]
     assert heard == [RunControl(Wish.PAUSE), RunControl(Wish.SKIP, "wrong angle"), None, None]
+
+
+def test_the_help_on_a_number_is_wholly_ukrainian():
+    prompt = Prompt("t", PromptKind.NUMBER, "T?", unit="°C", minimum=-80.0, maximum=120.5)
+    with speaking("uk"):
+        assert typing_help(prompt, ()).splitlines()[1] == "  число в °C, щонайменше -80, щонайбільше 120,5"
+    assert typing_help(prompt, ()).splitlines()[1] == "  a number in °C, -80 at least, 120.5 at most"

@@ -204,3 +204,12 @@ def test_where_points_are_chosen_redo_takes_what_was_measured_last_in_time(tmp_p
     history, keys, _ = recorded(tmp_path / "run")
     assert keys == [*read, "r21", "r22", "r23"]
     assert len(history.readings) == 6
+
+
+@pytest.mark.parametrize("wish", [Wish.REPEAT_POINT, Wish.MOUNT_AGAIN, Wish.CONTINUE])
+def test_a_wish_that_is_refused_does_not_begin_a_soak_again(tmp_path, wish):
+    """A soak of hours began anew, although nothing was done."""
+    history, keys, _ = listening(tmp_path, {poll_at("w", "step_started") + 3: RunControl(wish)})
+    assert keys == READS
+    told = [e.type for e in history.events if e.type == "wish_refused" or e.data.get("key") == "w"]
+    assert told == ["step_started", "wish_refused", "step_done"]

@@ -406,7 +406,7 @@ def heating(
     if verb.settle is not None:
         yield from verb.settle.plan_steps(key)
     if verb.soak:
-        yield Wait(key("wait"), verb.soak, f"soak at {at_c:g} °C")
+        yield Wait(key("wait"), verb.soak, message(f"soak at {at_c:g} °C"))
 
 
 class PowerVerb(ActionVerb):

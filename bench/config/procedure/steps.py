@@ -152,12 +152,12 @@ class _AtPoint(Step):
     def place(self) -> str:
         """Return the installation or the input in words: "installation 1", "the shorted input (series 2)"."""
         if self.installation in _INPUTS:
-            return _INPUTS[self.installation] + ("" if self.series == 1 else f" (series {self.series})")
+            return mount_in_words(_INPUTS[self.installation], self.series)
         return message(f"installation {mount_in_words(self.installation, self.series)}")
 
     def where(self) -> str:
         number, point = self.pass_number, self.point
-        visit = "" if self.series == 1 else f" (series {self.series})"
+        visit = "" if self.series == 1 else message(f" (series {self.series})")
         if self.installation == SHORTED:
             return message(f"the shorted input{visit}, pass {number}, point {point}")
         if self.installation == REFERENCE:
@@ -373,7 +373,7 @@ class Level(Step):
     within_rad: float | None = None
 
     def describe(self) -> str:
-        where = f"installation {mount_in_words(self.installation, self.series)}"
+        where = message(f"installation {mount_in_words(self.installation, self.series)}")
         if self.within_rad is None:
             what = message(f"read the level as the platform stands, levelled for {where}")
         else:
@@ -417,7 +417,7 @@ def read_order(meters: Sequence[_HasChannels]) -> str:
 
 def mount_in_words(installation: str, series: int) -> str:
     """Return an installation in words: "1", or "1 (series 2)" on a later visit."""
-    return installation if series == 1 else f"{installation} (series {series})"
+    return installation if series == 1 else message(f"{installation} (series {series})")
 
 
 def precision_in_words(step: Settle) -> str:

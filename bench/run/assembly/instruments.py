@@ -194,6 +194,8 @@ def _made(section: InstrumentForm, *given: Any, **options: Any) -> Any:
     driver = loaded_class(section, "driver")
     try:
         made = driver(section.name, *given, **options)
+    except BenchError:  # it refuses what the bench file states, and has its own remedy
+        raise
     except Exception as error:
         cause = message(f"its driver cannot be made ({type(error).__name__}: {error})")
         raise BenchError(section.name, cause, f"correct {driver.__module__}, then start again") from error
