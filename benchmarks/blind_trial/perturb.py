@@ -23,6 +23,7 @@ from benchmarks.blind_trial.score import Task
 from benchmarks.campaign import markdown, spread
 
 PART: Final = 0.3
+FEW_NUMBERS: Final = 4
 ROOM: Final = "bench.diagnosis"
 NO_SIZE: Final = {"MODULUS", "SUBSETS", "ZEROS", "SCALES", "SEED", "FLOOR", "OF_MEDIAN", "KNOWN_SIZE"}
 """Constants that have no size of their own: numbers of channels and columns, seeds, expectations, a tuple's entry.
@@ -38,6 +39,15 @@ class Constant:
     module: str
     name: str
     value: Any
+
+    @property
+    def shown(self) -> str:
+        """The value in a table; of many numbers, their count and the ends."""
+        if not isinstance(self.value, tuple):
+            return f"{self.value:g}"
+        if len(self.value) > FEW_NUMBERS:
+            return f"{len(self.value)} from {self.value[0]:g} to {self.value[-1]:g}"
+        return ", ".join(f"{one:g}" for one in self.value)
 
     def times(self, factor: float) -> Any:
         """Return the value times a factor; whole numbers stay whole and change by at least one."""
@@ -133,6 +143,6 @@ def perturb(tasks: Sequence[Task], workers: int) -> list[str]:
             pairs = list(zip(said, baseline[0], strict=True))
             cells.append(f"{sum(a[0] != b[0] for a, b in pairs)} / {sum(a != b for a, b in pairs)}")
         place = constant.module.removeprefix(f"{ROOM}.")
-        rows.append((f"{place}.{constant.name}", constant.value, *cells))
+        rows.append((f"{place}.{constant.name}", constant.shown, *cells))
     told = f"{len(every)} constants, {len(tasks)} cases; verdicts / verdicts or names that differ"
     return [told, *markdown(("constant", "value", "30 % smaller", "30 % larger"), rows)]
