@@ -23,33 +23,20 @@ from bench.config.devices.sections import (
     VoltmeterTruth,
 )
 from bench.model import ForwardModel
+from bench.run.assembly.instruments import PROTOCOLS
 from bench.run.assembly.served import served_bench
 from bench.run.folder import Run
 from drivers.interfaces import (
     BadReading,
     BenchError,
-    DividingHead,
     Identity,
     InstrumentLost,
     InstrumentRefused,
-    Level,
-    PowerSupply,
     SelfTesting,
-    ThermalChamber,
-    Thermometer,
-    Voltmeter,
 )
 from tests.support.instrument_stand import Mute, answering, bench_data, known, standing, written_bench
 from tests.support.procedure_texts import HEAD
 
-PROTOCOLS = {
-    "voltmeter": Voltmeter,
-    "head": DividingHead,
-    "chamber": ThermalChamber,
-    "level": Level,
-    "thermometer": Thermometer,
-    "power_supply": PowerSupply,
-}
 TRUTHS = {
     "voltmeter": VoltmeterTruth,
     "head": HeadTruth,

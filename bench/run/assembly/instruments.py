@@ -209,9 +209,8 @@ def _made(section: InstrumentForm, *given: Any, **options: Any) -> Any:
 
 
 def _has(made: object, name: str) -> bool:
-    return hasattr(type(made), name) or hasattr(
-        made, name
-    )  # the class first: a property may need the instrument
+    """Return whether a driver has a member; the class is asked first, as a property may need the instrument."""
+    return hasattr(type(made), name) or hasattr(made, name)
 
 
 def world_of(bench: BenchFile, model: ForwardModel, seed: int, clock: Clock) -> World:
