@@ -352,17 +352,9 @@ class ColumnProducts:
 
     def among(self, columns: Ints, at: slice = EVERY) -> Floats:
         """Return the Gram matrices (ratios, …, p, p) of sets of columns, indices (…, p), for the ratios `at`."""
-        size = columns.shape[-1]
-        first, second = np.triu_indices(size, 1)
-        one, other = columns[..., first].ravel(), columns[..., second].ravel()
-        whole = self.weight[at] @ (self.columns[one] * self.columns[other]).T
-        taken = self.taken[:, at]
-        whole -= np.einsum("prk,prk->rp", taken[one], taken[other])
-        gram = np.empty((len(whole), *columns.shape, size))
-        gram[..., range(size), range(size)] = self.square[at][:, columns]
-        whole = whole.reshape(*gram.shape[:-2], len(first))
-        gram[..., first, second], gram[..., second, first] = whole, whole
-        return gram
+        own, taken = self.columns[columns], np.moveaxis(self.taken[columns][..., at, :], -2, 0)
+        gram = np.stack([(own * weight) @ np.swapaxes(own, -2, -1) for weight in self.weight[at]])
+        return np.asarray(gram - taken @ np.swapaxes(taken, -2, -1))
 
     @cached_property
     def square(self) -> Floats:
