@@ -371,22 +371,22 @@ def _fold(
 
 def held_out(linear: LinearSystem, effects: Floats, noise: NoiseSize, held: Mask) -> HeldOut:
     """Predict the rows in the mask `held` (N,) from the others, with the columns `effects` (N, m) in the model."""
-    fitted = posterior(linear, effects, noise, ~held)
-    design = linear.design(effects)[held]
-    error = linear.response[held] - design @ fitted.mean
-    white = whiten_rows(linear, noise, np.column_stack([design, error]), held)
+    fitted = posterior(restrict(linear, ~held), effects[~held], noise)
+    rest = restrict(linear, held)
+    design = rest.design(effects[held])
+    error = rest.response - design @ fitted.mean
+    white = whiten_rows(rest, noise, np.column_stack([design, error]))
     spread = np.eye(len(error)) + white[:, :-1] @ fitted.covariance @ white[:, :-1].T
     chi2 = float(white[:, -1] @ np.linalg.solve(spread, white[:, -1]))
-    variance = (noise.reading * linear.relative[held]) ** 2 + (noise.setting_rad * linear.slope[held]) ** 2
+    variance = (noise.reading * rest.relative) ** 2 + (noise.setting_rad * rest.slope) ** 2
     variance += np.einsum("ni,ij,nj->n", design, fitted.covariance, design)
-    to_g = linear.g_per_signal[held]
+    to_g = rest.g_per_signal
     return HeldOut(error, error * to_g, np.sqrt(variance) * to_g, chi2)
 
 
 def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
-    """Return the linear system of only the rows in the mask (N,); the settings are numbered from 0 again."""
-    setting = linear.setting[rows]
-    present = {number: i for i, number in enumerate(dict.fromkeys(setting[setting >= 0].tolist()))}
+    """Return the linear system of only the rows in the mask (N,), of whole settings, numbered from 0 again."""
+    setting = np.unique(np.append(-1, linear.setting[rows]), return_inverse=True)[1][1:] - 1
     return replace(
         linear,
         rows=Rows(linear.rows.reading[rows], linear.rows.channel[rows]),
@@ -396,7 +396,7 @@ def restrict(linear: LinearSystem, rows: Mask) -> LinearSystem:
         slope=linear.slope[rows],
         by_row=None if linear.by_row is None else linear.by_row[rows],
         by_place=None if linear.by_place is None else linear.by_place[rows],
-        setting=np.array([present.get(int(s), -1) for s in setting]),
+        setting=setting,
     )
 
 

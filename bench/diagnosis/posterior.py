@@ -15,7 +15,7 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from scipy import special
 
-from bench.base.arrays import CHANNELS, Floats, Mask
+from bench.base.arrays import CHANNELS, Floats
 from bench.base.languages import message
 from bench.calibration.noise import without_setting
 from bench.diagnosis.candidates import Candidates, Column, Variant, plausible_columns
@@ -92,13 +92,13 @@ def noise_size(whitened: Whitened, data: Data, known: tuple[int, ...]) -> NoiseS
     )
 
 
-def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None) -> Posterior:
-    """Return the estimates from the rows in the mask `rows` (None: all), for a known noise.
+def posterior(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> Posterior:
+    """Return the estimates for a known noise.
 
     The amplitudes of `effects` (N, m) have normal priors of `KNOWN_SIZE` plausible sizes.
     """
     extra = effects.shape[1]
-    normal, right = _normal(linear, effects, noise, rows)
+    normal, right = _normal(linear, effects, noise)
     normal[np.arange(-extra, 0), np.arange(-extra, 0)] += 1.0 / KNOWN_SIZE**2
     covariance = _inverse(normal)
     return Posterior(covariance @ right, covariance, extra)
@@ -182,13 +182,9 @@ def _of_sizes(
     return sum(LOG_SIZE_WEIGHTS[size] for size in sizes) + 0.5 * float(log_det + right @ mean), mean, spread
 
 
-def _normal(
-    linear: LinearSystem, effects: Floats, noise: NoiseSize, rows: Mask | None = None
-) -> tuple[Floats, Floats]:
+def _normal(linear: LinearSystem, effects: Floats, noise: NoiseSize) -> tuple[Floats, Floats]:
     """Return normal matrix and right-hand side of a fit, in which the columns `effects` (N, m) have no prior."""
-    mine = slice(None) if rows is None else rows
-    columns = np.column_stack([linear.design(effects), linear.response])[mine]
-    white = whiten_rows(linear, noise, columns, rows)
+    white = whiten_rows(linear, noise, np.column_stack([linear.design(effects), linear.response]))
     normal = white[:, :-1].T @ white[:, :-1]
     first, random = linear.fixed.shape[1], linear.random.shape[1]
     normal[range(first, first + random), range(first, first + random)] += 1.0
@@ -201,15 +197,11 @@ def _inverse(normal: Floats) -> Floats:
     return np.asarray(np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
-def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats, rows: Mask | None = None) -> Floats:
-    """Return `columns` (N, m) with independent noise of variance 1, for all rows or those in the mask `rows`.
-
-    The mask must contain whole settings.
-    """
-    chosen = slice(None) if rows is None else rows
-    relative, oriented = linear.relative[chosen][:, None], linear.setting[chosen] >= 0
+def whiten_rows(linear: LinearSystem, noise: NoiseSize, columns: Floats) -> Floats:
+    """Return `columns` (N, m) with independent noise of variance 1."""
+    relative, oriented = linear.relative[:, None], linear.setting >= 0
     white = columns / (noise.reading * relative)
-    slope = (linear.slope[chosen][:, None] / relative)[oriented].reshape(-1, 3)
+    slope = (linear.slope[:, None] / relative)[oriented].reshape(-1, 3)
     settings = white[oriented].reshape(-1, 3, white.shape[1])
     white[oriented] = without_setting(settings, slope, noise.setting_rad / noise.reading).reshape(
         -1, white.shape[1]

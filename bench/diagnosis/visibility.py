@@ -304,39 +304,34 @@ def find_places(
     degrees of freedom. p-values are corrected for the number of patterns.
     """
     looks = list(_looks(linear))
-    white = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
-    left = grid.white[ratio] @ linear.response
     wide = np.array([columns.shape[1] for *_, columns in looks])
-    starts = np.cumsum(wide) - wide
-    alike = [np.flatnonzero(wide == many) for many in np.unique(wide)]
-    seen = [np.moveaxis(white[:, starts[own][:, None] + np.arange(wide[own[0]])], 1, 0) for own in alike]
-    whole = np.empty(len(looks))
-    for own, columns in zip(alike, seen, strict=True):
-        whole[own] = np.linalg.norm(columns, axis=1).min(axis=1)
+    used = np.arange(2) < wide[:, None]
+    left = grid.white[ratio] @ linear.response
+    # (N, looks, 2): a pattern of one column has a second one of zeros
+    seen = np.zeros((len(left), *used.shape))
+    seen[:, used] = grid.white[ratio] @ np.concatenate([columns for *_, columns in looks], axis=1)
+    seen = np.moveaxis(seen, 1, 0)
+    whole = np.min(np.linalg.norm(seen, axis=1), axis=1, where=used, initial=np.inf)
     places: list[ResidualPattern] = []
     while len(places) < LISTED:
-        bases: dict[int, tuple[Floats, Floats]] = {}
-        square, told = np.empty(len(looks)), np.empty(len(looks), dtype=bool)
-        for own, columns in zip(alike, seen, strict=True):
-            q, r = np.linalg.qr(columns)
-            bases.update(zip(own.tolist(), zip(q, r, strict=True), strict=True))
-            square[own] = np.sum((np.swapaxes(q, 1, 2) @ left) ** 2, axis=1) / sigma**2
-            # leave out patterns that the earlier ones explain
-            least = np.min(np.diagonal(r, axis1=1, axis2=2) ** 2, axis=1)
-            told[own] = least <= INSEPARABLE * whole[own] ** 2
-        p_each = np.where(told, np.inf, special.fdtrc(wide, freedom, square / wide))
+        bases, of_each = np.linalg.qr(seen)
+        square = np.sum((left @ bases) ** 2, axis=1, where=used) / sigma**2
+        p_each = special.fdtrc(wide, freedom, square / wide)
+        # leave out patterns that the earlier ones explain
+        least = np.min(np.abs(np.diagonal(of_each, axis1=1, axis2=2)), axis=1, where=used, initial=np.inf)
+        p_each[least**2 <= INSEPARABLE * whole**2] = np.inf
         # if p underflows, the size of the statistic decides
         best = int(np.lexsort((-square / wide, p_each))[0])
         p = float(p_each[best])
         if p * len(looks) > BY_CHANCE:
             break
-        q, r = bases[best]
         channel, installation, pattern, columns = looks[best]
+        q, r = bases[best, :, : wide[best]], of_each[best, : wide[best], : wide[best]]
         size = float(np.max(np.abs(columns @ np.linalg.solve(r, q.T @ left))))
         p_all = min(1.0, p * len(looks))
         places.append(ResidualPattern(channel, installation, pattern, size, linear.readings.unit, p_all, p))
         left = left - q @ (q.T @ left)
-        seen = [own - q @ (q.T @ own) for own in seen]
+        seen = seen - q @ (q.T @ seen)
     return tuple(places)
 
 

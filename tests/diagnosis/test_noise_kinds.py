@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from bench.diagnosis import diagnose
+from bench.diagnosis.gap import restrict
 from bench.diagnosis.noise_grid import digit_of, is_coarse, make_noise_grid, repeated
 from bench.diagnosis.noise_kinds import sizes_by_channel
 from bench.diagnosis.posterior import NoiseSize, whiten_rows
@@ -23,7 +24,7 @@ def test_unequal_channels_are_whitened_as_their_covariance_says():
     linear = replace(set_up(paper_run(np.random.default_rng(3))).linear, by_channel=SIZES)
     noise = NoiseSize(NOISE_V, SETTING_U_RAD, 100)
     rows = linear.setting >= 0
-    white = whiten_rows(linear, noise, np.eye(len(linear))[:, rows][rows], rows)
+    white = whiten_rows(restrict(linear, rows), noise, np.eye(rows.sum()))
     same = linear.setting[rows][:, None] == linear.setting[rows]
     covariance = np.diag((NOISE_V * SIZES[linear.rows.channel[rows]]) ** 2)
     covariance += np.where(same, SETTING_U_RAD**2 * np.outer(linear.slope[rows], linear.slope[rows]), 0.0)

@@ -46,7 +46,7 @@ def mixture(ready, naming):
     linear = ready.linear
     columns = ready.candidates.columns[:, list(naming.columns)]
     everything = np.column_stack([linear.fixed, linear.random, columns, linear.response])
-    white = whiten_rows(linear, NOISE, everything, np.ones(len(linear), dtype=bool))
+    white = whiten_rows(linear, NOISE, everything)
     free, rest = np.split(white, [linear.fixed.shape[1]], axis=1)
     # what coefficients of any size cannot explain
     seen = null_space((free / np.linalg.norm(free, axis=0)).T).T @ rest
