@@ -59,4 +59,4 @@ FARTHEST: Final = 3.0
 STEPS: Final = 8
 """Largest number of rounds of a repeated linearisation, fit, correction or zoom; six or twelve agree to 2e-6."""
 CHUNK: Final = 32
-"""Number of data sets, columns or suppositions computed at once: more would leave the processor's cache."""
+"""Number of data sets, settings or suppositions computed at once: more would leave the processor's cache."""

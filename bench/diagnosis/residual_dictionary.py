@@ -11,7 +11,6 @@ import numpy as np
 
 from bench.base.arrays import ARCSEC, MINUTE, Floats
 from bench.base.languages import message
-from bench.diagnosis.levels import CHUNK
 from bench.diagnosis.linear import LinearSystem
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, AppliedEffect, Parameter, Stage
@@ -137,8 +136,9 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
     Terms of the stand or the head are for all channels, products of the force for single ones, since each
     accelerometer has its own. Terms that change no row are left out.
     """
-    terms = list(_terms(linear))
-    for term, changes in zip(terms, _changes(linear, terms), strict=True):
+    values_of = cache(_values_of(linear))
+    for term in _terms(linear):
+        changes = _changes(linear, term, values_of)
         shown = np.asarray(changes.any(axis=(0, 2))).tolist()
         for channel in range(3) if term.stage in WITH_CHANNELS else ():
             if shown[channel]:
@@ -150,36 +150,15 @@ def dictionary(linear: LinearSystem) -> Iterator[TermColumns]:
 WITH_CHANNELS: Final = (Stage.BLOCK_OUTPUT, Stage.VOLTMETER_READING)
 
 
-def _changes(linear: LinearSystem, terms: Sequence[DictionaryTerm]) -> list[Floats]:
-    """Return the changes (k, channels, N) of the rows by plausible sizes of the k amplitudes of each term."""
-    found: dict[int, Floats] = {}
-    values_of = cache(_values_of(linear))
-    places: dict[tuple[Stage, str, bool], list[tuple[int, Floats]]] = {}
-    for number, term in enumerate(terms):
-        if term.course is None:
-            found[number] = np.stack(list(_of_effect(linear, term)))
-        else:
-            one = number, term.unit.plausible * values_of(term.course)
-            places.setdefault((term.stage, term.adds_to, term.in_proportion), []).append(one)
-    for (stage, adds_to, in_proportion), added in places.items():
-        for start in range(0, len(added), CHUNK):
-            numbers, courses = zip(*added[start : start + CHUNK], strict=True)
-            added_there = linear.stage_columns(
-                np.concatenate(courses).T, stage, adds_to, in_proportion=in_proportion
-            )
-            changes = np.ascontiguousarray(added_there.transpose(1, 2, 0))
-            stops = np.cumsum([*map(len, courses)]).tolist()
-            own = (changes[stop - len(of) : stop] for of, stop in zip(courses, stops, strict=True))
-            found.update(zip(numbers, own, strict=True))
-    return [found[number] for number in range(len(terms))]
-
-
-def _of_effect(linear: LinearSystem, term: DictionaryTerm) -> Iterator[Floats]:
-    """Yield the changes (3, N) of the rows by each plausible amplitude of a term of force or voltage."""
-    effect = term.effect("term", per_channel=True)
-    for size in SIZE_NAMES[: len(term.expressions)]:
-        applied = AppliedEffect(effect, {size: np.full(3, term.unit.plausible)})
-        yield linear.stage_columns(applied, term.stage)[:, 0].T
+def _changes(linear: LinearSystem, term: DictionaryTerm, values_of: Callable[[TimeCourse], Floats]) -> Floats:
+    """Return the changes (k, channels, N) of the rows by plausible sizes of the k amplitudes of a term."""
+    if term.course is not None:
+        added = term.unit.plausible * values_of(term.course).T
+        changes = linear.stage_columns(added, term.stage, term.adds_to, in_proportion=term.in_proportion)
+        return np.ascontiguousarray(changes.transpose(1, 2, 0))
+    effect, sizes = term.effect("term", per_channel=True), SIZE_NAMES[: len(term.expressions)]
+    each = (AppliedEffect(effect, {size: np.full(3, term.unit.plausible)}) for size in sizes)
+    return np.stack([linear.stage_columns(applied, term.stage)[:, 0].T for applied in each])
 
 
 def _values_of(linear: LinearSystem) -> Callable[[TimeCourse], Floats]:
