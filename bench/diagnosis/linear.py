@@ -18,7 +18,7 @@ from bench.calibration.design import FIXED, STEP_RAD, Problem, coefficient_colum
 from bench.diagnosis.levels import FAR, MARK_DEG, ONE_DIRECTION
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect, Stage
-from bench.model.effects.base import Seen, rows_of
+from bench.model.effects.base import rows_of
 from bench.model.forward import ForwardModel, Stages
 from bench.model.geometry import STAND_ANGLES, Block, Installation, specific_force_on_platform
 from bench.readings.table import FREE, REFERENCE, SHORTED, VERIFICATION, Readings
@@ -250,33 +250,26 @@ class LinearSystem:
         return self.view.stages(replace(self.model, effects=()), self.block)
 
     def stage_columns(
-        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
+        self, course: Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
-        """Return the linearised changes of the rows by one effect, or by k time courses (n, k), at one stage.
+        """Return the linearised changes of the rows by k time courses (n, k) at one stage.
 
-        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1); an
-        effect has k = 1. At the output of the block, a course is in g; in the voltmeter, it is in the unit of
-        the signal. With `in_proportion`, a course at these two stages is a fraction of the specific force or
-        of the signal. Their result is (N, k, 3), by channel. An effect must act at one of these two stages,
-        and must not depend on the path of the head.
+        At the stand or the head, a course in rad is added to the angle `adds_to`; the result is (N, k, 1). At the
+        output of the block, a course is in g; in the voltmeter, it is in the unit of the signal. With
+        `in_proportion`, a course at these two stages is a fraction of the specific force or of the signal. Their
+        result is (N, k, 3), by channel.
         """
         force, by_angle = self._stand
         if stage in (Stage.STAND, Stage.HEAD_ANGLE):
             number = STAND_ANGLES.index(adds_to) if stage is Stage.STAND else -1
-            return self.view.rows_of(by_angle[:, :, number, None] * np.asarray(of)[:, None])[:, :, None]
+            return self.view.rows_of(by_angle[:, :, number, None] * course[:, None])[:, :, None]
         of_block = stage is Stage.BLOCK_OUTPUT
-        if isinstance(of, AppliedEffect):
-            change = of.addition(
-                Seen(force if of_block else self._still.readings, self.conditions, self.block)
-            )[..., None]
-        else:
-            change = np.repeat(of[:, None], 3, axis=1)
-            if of_block:
-                change = change * np.diag(self.block.K)[:, None]
-            if in_proportion:
-                change = change * (force if of_block else self._still.readings)[..., None]
+        change = np.repeat(course[:, None], 3, axis=1)
         if of_block:
-            change = np.where(np.isnan(self.view.voltage_v)[..., None], change, 0.0)
+            unknown = np.isnan(self.view.voltage_v)
+            change = np.where(unknown[..., None], change * np.diag(self.block.K)[:, None], 0.0)
+        if in_proportion:
+            change = change * (force if of_block else self._still.readings)[..., None]
         return self.view.by_channel(change)
 
     @cached_property

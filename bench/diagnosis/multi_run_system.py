@@ -70,14 +70,11 @@ class JointSystem(LinearSystem):
         return np.concatenate([part.effect_columns(applied) for part in self.parts])
 
     def stage_columns(
-        self, of: AppliedEffect | Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
+        self, course: Floats, stage: Stage, adds_to: str = "", *, in_proportion: bool = False
     ) -> Floats:
-        """Return what `LinearSystem.stage_columns` returns, for an effect or a course that acts on all blocks."""
+        """Return what `LinearSystem.stage_columns` returns, for courses that act on all blocks."""
         assert self.readings.block is not None  # noqa: S101 - it is a system of several
-        own = [
-            of if isinstance(of, AppliedEffect) else of[self.readings.block == number]
-            for number in np.unique(self.readings.block)
-        ]
+        own = (course[self.readings.block == number] for number in np.unique(self.readings.block))
         return np.concatenate(
             [
                 part.stage_columns(mine, stage, adds_to, in_proportion=in_proportion)

@@ -158,7 +158,7 @@ def _changes(linear: LinearSystem, term: DictionaryTerm, values_of: Callable[[Ti
         return np.ascontiguousarray(changes.transpose(1, 2, 0))
     effect, sizes = term.effect("term", per_channel=True), SIZE_NAMES[: len(term.expressions)]
     each = (AppliedEffect(effect, {size: np.full(3, term.unit.plausible)}) for size in sizes)
-    return np.stack([linear.stage_columns(applied, term.stage)[:, 0].T for applied in each])
+    return np.stack([linear.effect_columns(applied).T for applied in each])
 
 
 def _values_of(linear: LinearSystem) -> Callable[[TimeCourse], Floats]:
