@@ -1,5 +1,6 @@
 """The evidence of candidates against the textbook's dense computation."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from bench.diagnosis.candidates import Candidates
 from bench.diagnosis.evidence import KNOWN_SIZE, SIZES, Search, Whitened
 from bench.diagnosis.multi_run_system import make_system
 from bench.diagnosis.naming import Naming, Scored, in_place
-from bench.diagnosis.noise_grid import RATIOS, coupled, make_whitener
+from bench.diagnosis.noise_grid import RATIOS, ColumnProducts, coupled, make_whitener
 from bench.diagnosis.posterior import channels_of
 from bench.diagnosis.visibility import smallest
 from bench.model import CATALOGUE, AppliedEffect, ForwardModel
@@ -301,3 +302,18 @@ def test_parts_of_a_matrix_that_do_not_touch_are_found_in_any_order():
         for own_r, own_c in ((range(4), range(2)), (range(4, 9), range(2, 5)), ([], [5]))
     ]
     assert sorted(parts) == sorted((list(map(int, r)), list(map(int, c))) for r, c in where)
+
+
+def test_gram_matrices_of_many_columns_need_little_memory():
+    # effects of 20 runs have a value for each of 40 mountings
+    rng = np.random.default_rng(5)
+    columns, weight, taken = (rng.standard_normal(shape) for shape in ((60, 1000), (2, 1000), (60, 2, 3)))
+    sets = np.array([rng.permutation(60)[:40] for _ in range(10)])
+    tracemalloc.start()
+    gram = ColumnProducts(columns, weight**2, taken).among(sets)
+    peak_mb = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    assert peak_mb < 4 * columns[sets].nbytes / 1e6
+    for ratio in range(2):
+        own, apart = columns[sets[7]] * weight[ratio], taken[sets[7], ratio]
+        np.testing.assert_allclose(gram[ratio, 7], own @ own.T - apart @ apart.T, rtol=1e-9, atol=1e-9)
