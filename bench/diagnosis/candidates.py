@@ -222,12 +222,6 @@ class Candidates:
         )
 
     @cached_property
-    def places(self) -> dict[int, tuple[int, int]]:
-        """For each variant, the index of its group in `by_size`, and its place there."""
-        groups = enumerate(members.tolist() for members, _ in self.by_size)
-        return {number: (group, place) for group, own in groups for place, number in enumerate(own)}
-
-    @cached_property
     def equal(self) -> tuple[tuple[tuple[int, ...], tuple[int, ...]], ...]:
         """The columns of each variant with equal amplitudes in all channels, and those with a value for each."""
         return tuple((v.columns, v.own) for v in self.variants if v.own)

@@ -109,11 +109,6 @@ class Whitened:
             (members, columns, self.products.among(columns)) for members, columns in self.candidates.by_size
         )
 
-    def gram(self, ratio: int, number: int) -> Floats:
-        """Return the Gram matrix (p, p) of the columns of variant `number` at a noise ratio."""
-        group, place = self.candidates.places[number]
-        return np.asarray(self.blocks[group][2][ratio, place])
-
     def reduce(self, response: Floats) -> Data:
         """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
         sets, sigma, white = response.shape[1], self.grid.sigma, self.grid.white
@@ -201,14 +196,10 @@ class Search:
         values, vectors = _eigen(blocks)
         return Group(members, columns, vectors, np.maximum(values, 0.0))
 
-    def between(self, ratio: int, columns: Sequence[int], number: int | None = None) -> Floats:
-        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out.
-
-        They may be the columns of the variant `number`.
-        """
-        gram = self.whitened.among(ratio, columns) if number is None else self.whitened.gram(ratio, number)
+    def between(self, ratio: int, columns: Sequence[int]) -> Floats:
+        """Return the Gram matrix (k, k) of the `columns` at a noise ratio, the known columns projected out."""
         seen = self.half[ratio][:, list(columns)]
-        return np.asarray(gram - seen.T @ seen)
+        return np.asarray(self.whitened.among(ratio, columns) - seen.T @ seen)
 
     def along(self, ratio: int, columns: Sequence[int], sizes: Floats) -> Floats:
         """Return the scalar products (P,) of all columns with the sum of `columns` times their `sizes` (k,).

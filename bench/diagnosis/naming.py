@@ -215,7 +215,7 @@ def _with_tied_starts(search: Search, left: Data, scores: Scores) -> Scores:
         if not variant.starts:
             continue
         columns = list(variant.columns)
-        spread = np.linalg.inv(search.between(ratio, columns, number) + np.eye(len(columns)) / KNOWN_SIZE**2)
+        spread = np.linalg.inv(search.between(ratio, columns) + np.eye(len(columns)) / KNOWN_SIZE**2)
         amplitude, u = spread @ left.along[ratio, columns, 0], np.sqrt(np.diag(spread))
         channel = np.array([candidates.kinds[column].channel for column in columns])
         sizes = len(variant.sizes)

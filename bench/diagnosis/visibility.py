@@ -76,7 +76,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
     candidates = whitened.candidates
     found: dict[str, dict[str, Smallest]] = {}
     seen: set[tuple[int, ...]] = set()
-    for number, variant in enumerate(candidates.variants):
+    for variant in candidates.variants:
         judged = variant.named and variant.is_plain
         sized = [p for p in CATALOGUE[variant.family].parameters if p.is_size] if judged else []
         for unit in dict.fromkeys(p.unit for p in sized) if len(sized) > 1 else ():
@@ -92,9 +92,7 @@ def smallest(whitened: Whitened, threshold: Threshold, ratio: int) -> dict[str, 
                 if columns in seen:
                     continue  # another variant has the same parameters in this channel
                 seen.add(columns)
-                places = [variant.columns.index(column) for column in columns]
-                gram = whitened.gram(ratio, number)[np.ix_(places, places)]
-                one = _smallest_of(gram, [of[name] for name in own], half)
+                one = _smallest_of(whitened.among(ratio, columns), [of[name] for name in own], half)
                 best = known.get(unit)
                 if one is not None and (best is None or (one.part, one.size) < (best.part, best.size)):
                     known[unit] = one
