@@ -105,9 +105,13 @@ class Whitened:
     @cached_property
     def blocks(self) -> tuple[tuple[Ints, Ints, Floats], ...]:
         """Groups of variants with p columns: indices (v,), columns (v, p), Gram matrices (ratios, v, p, p)."""
-        return tuple(
-            (members, columns, self.products.among(columns)) for members, columns in self.candidates.by_size
-        )
+        groups = []
+        for members, columns in self.candidates.by_size:
+            # at most some thousand columns at once, or those of many runs would take much memory
+            parts = np.array_split(columns, 1 + columns.size // CHUNK**2)
+            grams = np.concatenate([self.products.among(part) for part in parts], axis=1)
+            groups.append((members, columns, grams))
+        return tuple(groups)
 
     def reduce(self, response: Floats) -> Data:
         """Return the products of the columns with the residuals `response` (N, sets), in the unit of the signal."""
