@@ -1,8 +1,8 @@
 """The calibration of each channel of a record at a known input: gain, offset and drift, with u.
 
 The model is U = gain × reference + offset + drift × t. The noise is white plus slow noise, as in the
-diagnosis of records. Estimates are averaged over the kinds and variances of noise, weighted by their
-restricted likelihood, so that u includes what slow noise may hide.
+diagnosis of records. Estimates are averaged over the kinds and variances of noise, weighted by their posterior
+probability, so that u includes what slow noise may hide.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import softmax
 
 from bench.base.arrays import CHANNELS, Floats, Ints, u_of
 from bench.base.languages import message
@@ -32,7 +31,7 @@ from bench.diagnosis.record_model import (
     start_of,
     without_noise,
 )
-from bench.diagnosis.record_noise import Noise, NoiseTrials, solved
+from bench.diagnosis.record_noise import Noise, NoiseTrials
 from bench.diagnosis.record_search import Forms, RecordWork
 from bench.model.conditions import Conditions
 from bench.model.effects import AppliedEffect
@@ -221,7 +220,7 @@ def _channels(record: Record, errors: Floats, again: Sequence[_Refitted]) -> tup
         targets = (
             np.column_stack([record.deviation_v[:, number], *errors[:, :, number]]) / record.scale[:, None]
         )
-        mean, spread, noise = averaged(trials, design, targets)
+        mean, spread, noise = trials.averaged(design, targets)
         left = (targets[:, 0] - design @ mean[:, 0]) * record.scale
         count = record.trend.shape[1]
         for place, one in enumerate(effects):
@@ -266,31 +265,6 @@ def _channel(
         slow_v=noise.white * noise.ratio**0.5,
         residual_v=left,
     )
-
-
-def averaged(trials: NoiseTrials, design: Floats, targets: Floats) -> tuple[Floats, Floats, Noise]:
-    """Return least-squares estimates (p, d), their covariance (p, p) for the first target, and the noise.
-
-    `design` (n, p) begins with the trend; `targets` are (n, d). Estimates are averages over the trial noises,
-    weighted by the likelihood of the first target. The covariance includes the variation of the estimates between
-    these noises. The noise is the likeliest one.
-    """
-    count = design.shape[1]
-    beside = design[:, trials.trend.shape[1] :]
-    beside = beside[:, np.any(beside, axis=0)]  # an effect without a lag has no starting state
-    products = trials.products(beside, np.zeros((len(design), 0)), targets[:, :1])
-    weight = softmax(products.likelihood[:, 0])
-    whitened = trials.whitened(np.column_stack([design, targets]))
-    solutions = [solved(white[:, :count], white[:, count:]) for _, white in whitened]
-    means = np.array([mean for mean, _, _ in solutions])
-    spreads = [
-        spread * left / products.freedom
-        for (_, spread, _), left in zip(solutions, products.left[:, 0], strict=True)
-    ]
-    mean = np.tensordot(weight, means, axes=1)
-    off = means[:, :, 0] - mean[:, 0]
-    spread = np.tensordot(weight, np.array(spreads) + off[:, :, None] * off[:, None, :], axes=1)
-    return mean, spread, products.noise
 
 
 def _scatter(readings: Readings, record: Record) -> tuple[Floats, tuple[str, ...]]:

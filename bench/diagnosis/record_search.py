@@ -365,23 +365,25 @@ class RecordWork:
         return np.asarray(self.helmert.T**2 @ variance) if own else variance
 
     def fits(self, courses: Sequence[Variant], noises: Sequence[Noise]) -> Iterator[ChannelFit]:
-        """Yield zero, drift and residuals of each channel; u includes the uncertainty of the shapes."""
-        estimates = [self.fitted(k, courses, noises[k]) for k in self.parts]
+        """Yield zero, drift and residuals of each channel; u includes uncertain shapes and kinds of noise."""
+        designs = [self.design(courses, k) for k in self.parts]
+        estimates = [self.trials.averaged(one[:, :-1], one[:, -1:]) for one in designs]
         turn = self.record.zero_and_drift
         count = turn.shape[1]
 
         def variance_of(spread: Floats) -> Floats:
             return np.diag(turn @ spread[:count, :count] @ turn.T)
 
-        trend = np.array([turn @ mean[:count] for mean, _, _ in estimates])
+        trend = np.array([turn @ mean[:count, 0] for mean, _, _ in estimates])
         variance = np.array([variance_of(spread) for _, spread, _ in estimates])
         for number, course in enumerate(courses):
             forms, others = self.forms(courses, number), [*courses[:number], *courses[number + 1 :]]
             for k in self.parts if self.of_channels(course) else range(1):
                 held = self.columns([course], k)
                 variance[k] += variance_of(forms.variance_beside(noises[k], self.design(others, k), held))
-        designs = [self.design(courses, k) for k in self.parts]
-        left = [one[:, -1] - one[:, :-1] @ mean for one, (mean, _, _) in zip(designs, estimates, strict=True)]
+        left = [
+            one[:, -1] - one[:, :-1] @ mean[:, 0] for one, (mean, *_) in zip(designs, estimates, strict=True)
+        ]
         residual_v = self.record.scale * (self.helmert.T @ np.array(left))
         values, u = self.helmert.T @ trend, np.sqrt(self.helmert.T**2 @ variance)
         before_v = self.beside_trend.T

@@ -12,6 +12,7 @@ from bench.config.bench_file.file import load_bench
 from bench.config.shipped import find_bench
 from bench.diagnosis.record_calibration import calibrate_record
 from bench.diagnosis.record_diagnosis import GAIN_IN_DRIFT, diagnose_record
+from bench.diagnosis.record_noise import NoiseTrials, slow_kernels
 from bench.model import ForwardModel
 from bench.model.effects import CATALOGUE, AppliedEffect
 from bench.readings.columns import numbers
@@ -120,6 +121,18 @@ def test_u_of_the_gain_covers_a_gain_that_changes_slowly(tmp_path):
         pulls.append((x.gain.value - GAIN) / x.gain.u)
     # as above: 2 in 100
     assert np.mean(np.square(pulls)) < 2.5
+
+
+@pytest.mark.slow
+def test_u_of_a_drift_covers_a_random_walk():
+    """White noise and a walk of 100 times its variance; with equally probable kinds, 88 % are within 2 u."""
+    time_h, rng = np.linspace(0.0, 10.0, 60), np.random.default_rng(11)
+    line = np.column_stack([np.ones(60), time_h / 5.0 - 1.0])
+    trials = NoiseTrials(tuple(np.linalg.eigh(kernel) for kernel in slow_kernels(time_h)), line)
+    walks = np.cumsum(rng.normal(size=(150, 60)), axis=1) * np.sqrt(200.0 / 60.0)
+    found = [trials.averaged(line, one[:, None]) for one in walks + rng.normal(size=(150, 60))]
+    within = [abs(mean[1, 0]) < 2.0 * np.sqrt(spread[1, 1]) for mean, spread, _ in found]
+    assert np.mean(within) > 0.92
 
 
 def test_the_scatter_of_the_reference_is_in_u(tmp_path):
