@@ -72,11 +72,11 @@ class SharedErrorFit:
     wander: Floats | None = None
 
     @property
-    def growing(self) -> Floats:
-        """The standard deviation (n, 3) of noise that grows with the signal, in the unit of the signal."""
+    def growth(self) -> Floats | None:
+        """The noise per signal, divided by the noise at zero signal, (3,); None if the noise does not grow."""
         own = [c for c in self.components if c.what == READING_GAIN]
-        of = [sum(c.size for c in own if c.channels == channel) for channel in CHANNELS]
-        return np.asarray(np.abs(self.fit.system.jacobian[:, :, :9] @ self.fit.block.K.ravel()) * of)
+        of = np.array([sum(c.size for c in own if c.channels == channel) for channel in CHANNELS])
+        return of / self.fit.noise.by_channel if own else None
 
 
 @dataclass(frozen=True)
