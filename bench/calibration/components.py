@@ -154,8 +154,9 @@ def _is_rounded(noise: Noise, floor: float) -> bool:
 
 def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) -> SharedErrorFit:
     """Return the fit whose covariance contains the rounding error that repeats share."""
-    basic, further = _basic(fit), len(fit.system.free.left)
-    shared = _by_group(rounding.groups, np.sqrt(rounding.variance), range(3), further)
+    basic, digit = _basic(fit), np.sqrt(rounding.variance)
+    of_moduli = np.linalg.norm(fit.system.free.by_signal * digit, axis=1)
+    shared = linalg.block_diag(_by_group(rounding.groups, digit, range(3), 0), np.diag(of_moduli))
     found = _mixed(problem, fit, [*(t.columns for t in basic), shared])
     wider = widening(fit.noise.reading_dof) ** 2
     # the noise includes rounding: only the rest of it is independent from repeat to repeat
