@@ -485,7 +485,7 @@ def notes_on_noise(
                 "estimator 'robust' reduces the weight of outliers"
             )
         )
-    notes += _on_components(shared.components, unit)
+    notes += notes_on_components(shared.components, unit)
     if shared.drift is not None:
         notes.append(
             message(
@@ -548,6 +548,11 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
             f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
         )
     return message(f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})")
+
+
+def notes_on_components(components: Sequence[Component], unit: str) -> tuple[str, ...]:
+    """Return a note on each kind of the `components`; `unit` is that of the signal."""
+    return tuple(_on_components(components, unit))
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:
