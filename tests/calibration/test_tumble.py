@@ -379,7 +379,7 @@ def test_readings_that_are_no_voltages_have_no_meters_error(stand):
 def test_errors_that_readings_share_enter_u(named):
     """Seeds [57, k], 24 runs: noise of 30 uV grows by 100 ppm of the signal, or readings end at 1 mV.
 
-    Without them in u, the chi-square of bias, scale factor, K2 and K3 of three channels was 1.5 and 2.6 times its mean,
+    Without them in u, the chi-square of K0, K1, K2 and K3 of three channels was 1.5 and 2.6 times its mean,
     and 19 of 24 rounded runs were not accepted. The bound is that of 288 degrees of freedom.
     """
     chi_square, names = 0.0, [f"{channel}.{name}" for channel in "xyz" for name in ("K0", "K1", "K2", "K3")]
