@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from bench.services.calibration import CalibrationResult as CalibrationResult
     from bench.services.calibration import Coefficient as Coefficient
     from bench.services.check_block import chart as chart
+    from bench.services.compensation import compensate as compensate
     from bench.services.compensation import tumble as tumble
     from bench.services.confirmation import ConfirmationResult as ConfirmationResult
     from bench.services.diagnosis import DiagnosisResult as DiagnosisResult
@@ -67,7 +68,7 @@ _HOMES: Final = {
     "bench.services.calibration": ("CalibrationResult", "Coefficient"),
     "bench.results.control_chart": ("CheckBlockChart",),
     "bench.services.check_block": ("chart",),
-    "bench.services.compensation": ("tumble",),
+    "bench.services.compensation": ("compensate", "tumble"),
     "bench.services.confirmation": ("ConfirmationResult",),
     "bench.services.diagnosis": (
         "DiagnosisResult", "FreeDiagnosisResult", "MistakesResult", "RecordDiagnosisResult",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Final, NamedTuple
@@ -14,6 +14,7 @@ from bench.base.arrays import ARCSEC, Floats, least_squares, rms, u_of
 from bench.base.languages import message
 from bench.calibration import gls, mistakes, outliers
 from bench.calibration.components import (
+    UNEQUAL_P,
     SharedErrorFit,
     note_on_search,
     notes_on_noise,
@@ -23,9 +24,9 @@ from bench.calibration.components import (
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
-from bench.calibration.gls import Estimator, WeightingTask
+from bench.calibration.gls import Estimator, Shift, WeightingTask
 from bench.calibration.linear import linear_estimate
-from bench.calibration.noise import KnownStand, require_told
+from bench.calibration.noise import KnownStand, SharedRounding, require_told
 from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank, unseen_coefficients
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
@@ -94,31 +95,29 @@ def solve(
     naming = partial(mistakes.naming_deviating, problem, rows)
     with naming():
         start = first_guess(problem, rows.signal, resolution, nominal)
-    refit = partial(gls.fit, problem, rows.signal, start, noise, resolution)
+    refit = partial(gls.fit, signal=rows.signal, start=start, noise=noise, resolution=resolution)
+    judge = partial(_judged, refit=refit, by=by, chosen=chosen, resolution=resolution)
     with naming():
-        fit, found, doubted = _fitted(problem, rows.signal, refit, by, chosen)
+        judged = judge(problem)
+    fit, floor = judged.fit, gls.noise_floor(rows.signal, resolution, problem.free)
     require_told(fit.noise)
-    rounding = rounding_of(problem, fit, resolution)
-    fit_test = gls.lack_of_fit(problem, fit, rounding)
-    digits = ROUNDING * float(np.max(np.abs(rows.signal), initial=0.0))
-    fit_test = replace(fit_test, rms=rms(fit.residuals), rounding=digits)
-    accepted = (
-        fit_test.accepted()
-    )  # if not, large residuals of settings come from a wrong model, not from outliers
-    alone = fit.covariance
-    if not accepted:
-        doubted = None if by.drops_outliers else _with_moving_positions(problem, fit, refit)
-    # outliers that explain a misfit are no errors that readings share
-    searched = find_shared and (accepted or doubted is None)
-    floor = gls.noise_floor(rows.signal, resolution, problem.free)
-    shared = take_in(problem, fit, readings.unit, floor, rounding) if searched else SharedErrorFit(fit)
-    tails, notes = float("nan"), tuple[str, ...]()
-    if rounding is None:
-        tails = outliers.heavy_tails(problem, shared.fit if shared.growing.any() else fit, shared.growing)
-    if doubted is not None:
-        # one outlier may look like noise that grows with the signal: ask the other readings
-        grown = take_in(problem, doubted, readings.unit, floor).growing if shared.growing.any() else None
-        notes = _notes_on(outliers.listed(outliers.beyond(problem, doubted, grown), chosen))
+    take = partial(take_in, problem, unit=readings.unit, floor=floor, rounding=judged.rounding)
+    # an outlier may look like noise that grows with the signal: ask the other readings
+    others = judged.doubted or fit
+    shared = take(others) if find_shared else SharedErrorFit(fit)
+    if find_shared:
+        with naming():
+            judged = _with_growth(judged, shared.growth, lambda of: take(of).growth, judge, refit)
+            fit = fit if judged.problem is problem else refit(problem, shifts=judged.fit.shifts)
+    fit_test, doubted = judged.test, judged.doubted
+    accepted, alone = fit_test.accepted(), fit.covariance
+    if others is not fit:
+        # outliers that explain a misfit are no errors that readings share
+        searched = find_shared and (accepted or doubted is None)
+        shared = take(fit) if searched else SharedErrorFit(fit)
+    tails = outliers.heavy_tails(judged.problem, judged.fit) if judged.rounding is None else float("nan")
+    notes = () if doubted is None else _notes_on(outliers.listed(doubted, chosen))
+    found = outliers.listed(judged.fit, chosen)
     fit = shared.fit
     if by.gain is not None:
         fit = linear_estimate(problem, rows.signal, fit, by.gain(problem, rows), shared.covariance)
@@ -373,22 +372,37 @@ def first_guess(
     return block
 
 
-def _fitted(
-    problem: Problem, signal: Floats, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows
-) -> tuple[gls.Fit, tuple[Outlier, ...], gls.Fit | None]:
-    """Return the estimator's fit, the outliers without weight in it, and a fit without those that have weight."""
-    fit = refit()
+class _Judged(NamedTuple):
+    """A fit with its `test` and the `rounding` error that repeats share; `doubted` is a fit without outliers."""
+
+    problem: Problem
+    fit: gls.Fit
+    rounding: SharedRounding | None
+    test: LackOfFit
+    doubted: gls.Fit | None
+
+
+def _judged(
+    problem: Problem, refit: partial[gls.Fit], by: Estimator, chosen: FittedRows, resolution: float
+) -> _Judged:
+    """Return the estimator's fit of the problem, its test, and its outliers."""
+    signal = refit.keywords["signal"]
+    task = WeightingTask(problem, signal, refit(problem), lambda shifts: refit(problem, shifts=shifts))
+    fit, doubted = task.fit, None
     largest = max(float(np.max(np.abs(t.signal), initial=0.0)) for t in (chosen.oriented, chosen.free))
-    if fit.noise.reading < ROUNDING * largest:
-        return fit, (), None
-    task = WeightingTask(problem, signal, fit, lambda shifts: refit(shifts=shifts))
-    fit = by.weigh(task)
-    if by.drops_outliers:
-        return fit, outliers.listed(fit, chosen), None
-    # one outlier is enough for a note, but in free positions alone several may mask each other
-    most = outliers.most_outliers(problem) if problem.upper else 1
-    without = outliers.search(problem, task.fit, task.refit, most)
-    return fit, (), without if without.shifts else None
+    if fit.noise.reading >= ROUNDING * largest:
+        fit = by.weigh(task)
+        if not by.drops_outliers:
+            # one outlier is enough for a note, but in free positions alone several may mask each other
+            most = outliers.most_outliers(problem) if problem.upper else 1
+            doubted = outliers.search(problem, task.fit, task.refit, most)
+    rounding = rounding_of(problem, fit, resolution)
+    digits = ROUNDING * float(np.max(np.abs(signal), initial=0.0))
+    test = replace(gls.lack_of_fit(problem, fit, rounding), rms=rms(fit.residuals), rounding=digits)
+    if not test.accepted():
+        # large residuals of settings come from a wrong model, not from outliers
+        doubted = None if by.drops_outliers else _with_moving_positions(problem, fit, task.refit)
+    return _Judged(problem, fit, rounding, test, doubted if doubted and doubted.shifts else None)
 
 
 def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
@@ -398,12 +412,39 @@ def _notes_on(found: Iterable[Outlier]) -> tuple[str, ...]:
     )
 
 
-def _with_moving_positions(problem: Problem, fit: gls.Fit, refit: partial[gls.Fit]) -> gls.Fit | None:
+def _with_growth(
+    judged: _Judged,
+    growth: Floats | None,
+    growth_of: Callable[[gls.Fit], Floats | None],
+    judge: Callable[[Problem], _Judged],
+    refit: partial[gls.Fit],
+) -> _Judged:
+    """Return the judgement with noise that grows with the signal, if the readings show it; else `judged`.
+
+    `growth` is that of the readings that are no outliers, `growth_of` returns that of a fit.
+    """
+    problem, many = judged.problem, growth is None and len(judged.fit.shifts) > 1
+    if many:
+        # what many outliers seem to be, noise that grows may be: it then leaves no heavy tails
+        growth = growth_of(refit(problem))
+    if growth is None:
+        return judged
+    level = judge(replace(problem, growth=growth))
+    if many and outliers.heavy_tails(level.problem, level.fit) < UNEQUAL_P:
+        return judged
+    # without the largest readings the growth seems smaller than it is
+    growth = growth_of(level.doubted or refit(problem, shifts=level.fit.shifts))
+    return level if growth is None else judge(replace(problem, growth=growth))
+
+
+def _with_moving_positions(
+    problem: Problem, fit: gls.Fit, refit: Callable[[tuple[Shift, ...]], gls.Fit]
+) -> gls.Fit | None:
     """Return a fit without the outliers of one that is not accepted, if they are free positions and explain it."""
     if problem.free is None or fit.shifts:
         return None
     most = outliers.most_outliers(problem)
-    without = outliers.search(problem, fit, lambda shifts: refit(shifts=shifts), most)
+    without = outliers.search(problem, fit, refit, most)
     moving = bool(without.shifts) and all(shift.channel == gls.MODULUS for shift in without.shifts)
     return without if moving and gls.lack_of_fit(problem, without).accepted() else None
 

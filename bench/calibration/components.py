@@ -72,11 +72,11 @@ class SharedErrorFit:
     wander: Floats | None = None
 
     @property
-    def growing(self) -> Floats:
-        """The standard deviation (n, 3) of noise that grows with the signal, in the unit of the signal."""
+    def growth(self) -> Floats | None:
+        """The noise per signal, divided by the noise at zero signal, (3,); None if the noise does not grow."""
         own = [c for c in self.components if c.what == READING_GAIN]
-        of = [sum(c.size for c in own if c.channels == channel) for channel in CHANNELS]
-        return np.asarray(np.abs(self.fit.system.jacobian[:, :, :9] @ self.fit.block.K.ravel()) * of)
+        of = np.array([sum(c.size for c in own if c.channels == channel) for channel in CHANNELS])
+        return of / self.fit.noise.by_channel if own else None
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,9 @@ def _is_rounded(noise: Noise, floor: float) -> bool:
 
 def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) -> SharedErrorFit:
     """Return the fit whose covariance contains the rounding error that repeats share."""
-    basic, further = _basic(fit), len(fit.system.free.left)
-    shared = _by_group(rounding.groups, np.sqrt(rounding.variance), range(3), further)
+    basic, digit = _basic(fit), np.sqrt(rounding.variance)
+    of_moduli = np.linalg.norm(fit.system.free.by_signal * digit, axis=1)
+    shared = linalg.block_diag(_by_group(rounding.groups, digit, range(3), 0), np.diag(of_moduli))
     found = _mixed(problem, fit, [*(t.columns for t in basic), shared])
     wider = widening(fit.noise.reading_dof) ** 2
     # the noise includes rounding: only the rest of it is independent from repeat to repeat
@@ -484,7 +485,7 @@ def notes_on_noise(
                 "estimator 'robust' reduces the weight of outliers"
             )
         )
-    notes += _on_components(shared.components, unit)
+    notes += notes_on_components(shared.components, unit)
     if shared.drift is not None:
         notes.append(
             message(
@@ -547,6 +548,11 @@ def _on_prior(prior: NoisePrior, unit: str) -> str:
             f"{rests}, and the readings disagree: {scatter} (p = {prior.p:.1g}); measure more points"
         )
     return message(f"{rests}: so few readings hardly show the noise, and {scatter} (p = {prior.p:.2g})")
+
+
+def notes_on_components(components: Sequence[Component], unit: str) -> tuple[str, ...]:
+    """Return a note on each kind of the `components`; `unit` is that of the signal."""
+    return tuple(_on_components(components, unit))
 
 
 def _on_components(components: Sequence[Component], unit: str) -> Iterator[str]:

@@ -107,7 +107,7 @@ class Problem:
     `free` are readings of which only the modulus |a| = 1 g is used. `upper` constrains K to be upper triangular, as
     a fit to free readings alone requires. `hang` (p, p) is the lower Cholesky factor of the correlation matrix of
     the priors of the p stand angles, None if all priors are independent. `noise` is prior knowledge of the noise,
-    or None.
+    or None. `growth` (3,) is the noise per signal without bias, divided by the noise at zero signal.
     """
 
     model: ForwardModel
@@ -118,6 +118,7 @@ class Problem:
     upper: bool = False
     hang: Floats | None = None
     noise: KnownNoise | None = None
+    growth: Floats | None = None
 
     @property
     def active(self) -> Ints:

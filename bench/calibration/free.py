@@ -37,16 +37,18 @@ class Modulus:
     """The equations |a| = 1 g of m free readings, linearised about a point of the fit.
 
     `left` (m,) is 1 - |a|, g. `jacobian` (m, 12 + q) are the derivatives of |a| by the 12 coefficients and the q
-    other unknowns. `by_signal` (m, 3) is d|a|/dU, g/unit.
+    other unknowns. `by_signal` (m, 3) is d|a|/dU, g/unit. The noise of the signals is `larger` (m, 3) times that
+    at zero signal.
     """
 
     left: Floats
     jacobian: Floats
     by_signal: Floats
+    larger: Floats | float = 1.0
 
     def noise(self, sizes: Noise) -> Floats:
         """Return the standard deviation (m,) of |a|, g, for the noise `sizes` of the signals."""
-        return np.asarray(np.linalg.norm(self.by_signal * sizes.by_channel, axis=1))
+        return np.asarray(np.linalg.norm(self.by_signal * self.larger * sizes.by_channel, axis=1))
 
 
 NO_MODULI: Final = Modulus(np.zeros(0), np.zeros((0, 0)), np.zeros((0, 3)))

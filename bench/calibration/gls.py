@@ -166,13 +166,15 @@ class System:
 
     Its p unknowns are the active coefficients, then the shifts, then the other unknowns of the problem. `left` (n,
     3) is measured minus predicted signals. `jacobian` (n, 3, p) are the derivatives of the readings by the
-    unknowns; `slope` (n, 3) is du/dphi. `free` are the equations of the moduli.
+    unknowns; `slope` (n, 3) is du/dphi. `free` are the equations of the moduli. If the noise grows with the signal,
+    left, jacobian and slope are multiplied by `level` (n, 3), so that all signals of a channel have equal noise.
     """
 
     left: Floats
     jacobian: Floats
     slope: Floats
     free: Modulus = NO_MODULI
+    level: Floats | float = 1.0
 
 
 def linearise(
@@ -197,7 +199,13 @@ def linearise(
                 own[shift.row, shift.channel, j] = 1.0
         jacobian = np.concatenate([jacobian[:, :, :at], own, jacobian[:, :, at:]], axis=2)
         by_free = np.concatenate([by_free[:, :at], own_free, by_free[:, at:]], axis=1)
-    return System(signal - linear.predicted, jacobian, linear.slope, replace(free, jacobian=by_free))
+    left, free = signal - linear.predicted, replace(free, jacobian=by_free)
+    if problem.growth is None:
+        return System(left, jacobian, linear.slope, free)
+    level = 1.0 / np.hypot(1.0, problem.growth * (signal - block.U0))
+    if problem.free is not None:
+        free = replace(free, larger=np.hypot(1.0, problem.growth * (problem.free.signal - block.U0)))
+    return System(level * left, level[:, :, None] * jacobian, level * linear.slope, free, level)
 
 
 @dataclass(frozen=True)
@@ -294,14 +302,14 @@ def _result(
     whole, whole_gain = np.zeros((FIXED + len(others),) * 2), np.zeros((FIXED + len(others), gain.shape[1]))
     whole[np.ix_(places.unknowns, places.unknowns)] = covariance[np.ix_(places.own, places.own)]
     whole_gain[places.unknowns] = gain[places.own]
-    by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3)
+    by_row = whole_gain[:, : 3 * n].reshape(len(whole), n, 3) * system.level
     # the row of a free reading is 1 - |a|: its derivatives have the opposite sign of those of |a|
     by_free = -whole_gain[:, 3 * n :, None] * system.free.by_signal
     as_it_is = 1.0 / widening(sizes.reading_dof)
     u_shift = as_it_is * np.sqrt(np.diag(covariance)[places.shifts])
     return Fit(
-        block, others, whole, by_row, by_free, sizes, float(misfit), system.left, system.slope,
-        -system.free.left, shifts, shift, u_shift, system,
+        block, others, whole, by_row, by_free, sizes, float(misfit), system.left / system.level,
+        system.slope / system.level, -system.free.left, shifts, shift, u_shift, system,
     )  # fmt: skip
 
 
@@ -411,10 +419,10 @@ def lack_of_fit(problem: Problem, result: Fit, rounding: SharedRounding | None =
     """
     unknowns = len(problem.active) + len(result.shifts) + sizes_told(problem, result) - len(result.modulus)
     groups = _groups_without(problem, result.shifts)
-    misfit = result.misfit
+    misfit, system = result.misfit, result.system
     if rounding is not None:
         misfit -= rounding.relief(result.residuals, result.slope, result.noise)
-    return misfit_test(misfit, result.residuals, result.slope, result.noise, groups, unknowns)
+    return misfit_test(misfit, system.left, system.slope, result.noise, groups, unknowns)
 
 
 def sizes_told(problem: Problem, fit: Fit) -> int:

@@ -11,7 +11,7 @@ residuals of a regression.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -73,23 +73,6 @@ def search(problem: Problem, fit: Fit, refit: Callable[[tuple[Shift, ...]], Fit]
     return fits[significant]
 
 
-def beyond(problem: Problem, fit: Fit, growing: Floats | None) -> Fit:
-    """Return the fit with those of its shifts that noise which grows with the signal does not explain either.
-
-    `growing` (n, 3) is the standard deviation of this noise in each signal. It leaves the shifts of moduli.
-    """
-    if growing is None or not growing.any():
-        return fit
-    along = fit.slope / np.maximum(np.sum(fit.slope**2, axis=1), 1e-300)[:, None]
-    by_way = np.column_stack([growing, np.linalg.norm(growing * along, axis=1)])
-    more = np.array([0.0 if s.channel == MODULUS else by_way[s.row, s.channel] for s in fit.shifts])
-    least = critical(looks(problem), fit.noise.reading_dof)
-    kept = np.flatnonzero(np.abs(fit.shift) > least * np.hypot(fit.u_shift, more))
-    return replace(
-        fit, shifts=tuple(fit.shifts[k] for k in kept), shift=fit.shift[kept], u_shift=fit.u_shift[kept]
-    )
-
-
 def looks(problem: Problem) -> int:
     """Return the number of candidates for an outlier.
 
@@ -131,23 +114,23 @@ def most_extreme(problem: Problem, fit: Fit) -> tuple[Shift, float]:
     return Shift(worst // 4, (0, 1, 2, SETTING)[worst % 4]), size
 
 
-def heavy_tails(problem: Problem, fit: Fit, growing: Floats | float = 0.0) -> float:
+def heavy_tails(problem: Problem, fit: Fit) -> float:
     """Return the p-value of a test of the repeats for heavy tails; NaN if the repeats are too few.
 
     The test statistic is the excess kurtosis of the normalised deviations of repeats from their means. Its standard
-    deviation is sqrt(24/N) for N degrees of freedom. `growing` (n, 3) is noise that grows with the signal.
+    deviation is sqrt(24/N) for N degrees of freedom.
     """
     if not len(problem.conditions) or fit.noise.source != "repeats":
         return float("nan")
-    groups = repeat_groups(problem.conditions)
-    if scatter_of_repeats(fit.residuals, fit.slope, groups).settings < LEAST_REPEATS:
+    groups, residuals, slope = repeat_groups(problem.conditions), fit.system.left, fit.system.slope
+    if scatter_of_repeats(residuals, slope, groups).settings < LEAST_REPEATS:
         return float("nan")
     count = np.bincount(groups)
-    means = np.stack([np.bincount(groups, column) for column in fit.residuals.T], axis=1) / count[:, None]
+    means = np.stack([np.bincount(groups, column) for column in residuals.T], axis=1) / count[:, None]
     kept = count[groups] > 1
     # a deviation from the mean of m readings has (m - 1)/m of the variance
-    left = (fit.residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
-    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * fit.slope) ** 2 + np.square(growing))
+    left = (residuals - means[groups])[kept] / np.sqrt(1.0 - 1.0 / count[groups][kept])[:, None]
+    size = np.sqrt(fit.noise.by_channel**2 + (fit.noise.setting_rad * slope) ** 2)
     z = left / size[kept]
     if not np.any(z):
         return float("nan")

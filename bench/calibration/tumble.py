@@ -20,6 +20,7 @@ from bench.calibration import gls
 from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
 from bench.calibration.budget.whole import GRAVITY, acting_sources, without_meters
 from bench.calibration.calibrate import first_guess, usable_rows
+from bench.calibration.components import notes_on_components, rounding_of, take_in
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.gls import Fit
 from bench.calibration.noise import require_told
@@ -395,7 +396,13 @@ def tumble_view(
     )  # fmt: skip
     fit = gls.fit(problem, rows.signal, start, noise, rows.resolution)
     require_told(fit.noise)
-    fit_test = replace(gls.lack_of_fit(problem, fit), rms=rms(fit.residuals))
+    rounding = rounding_of(problem, fit, rows.resolution)
+    floor = gls.noise_floor(rows.signal, rows.resolution)
+    shared = take_in(problem, fit, readings.unit, floor, rounding)
+    if shared.growth is not None:
+        fit = gls.fit(replace(problem, growth=shared.growth), rows.signal, start, noise, rows.resolution)
+    fit_test = replace(gls.lack_of_fit(problem, fit, rounding), rms=rms(fit.residuals))
+    fit = shared.fit
     joined = None
     if above is not None:
         opened = sum(own.rank - there.rank for own, there in zip(judged, alone, strict=True))
@@ -409,7 +416,7 @@ def tumble_view(
     axes = sized(axes, whole, shown)
     return TumbleView(
         readings.unit, g_m_s2, fit.block, axes, whole, shown, gain, fit.slope, judged, moved, fit.noise, fit_test,
-        rows, above=joined,
+        rows, notes=notes_on_components(shared.components, readings.unit), above=joined,
     )  # fmt: skip
 
 

@@ -173,6 +173,18 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
     return Compensation(first, names, combined, table, checks, result)
 
 
+def _compensate(request: Compensate) -> CompensateResult:
+    """Return the coefficients as polynomials of the temperature, as `bench compensate` computes them.
+
+    `reference` is their reference temperature in °C, `degree` is "auto" or a number such as "2", and `step` is the
+    step of the table in K. The other parameters are those of `calibrate`.
+    """
+    return compensated(request, load_sources(reading(request, *request.sources))).result
+
+
+compensate = python_call(Compensate, _compensate)
+
+
 def _degree(text: str) -> int | None:
     if text == "auto":
         return None

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bench import compensate as compensate_in_python
 from bench import tumble as tumble_in_python
 from bench.model.geometry import COEFFICIENTS
 from bench.readings.csv import EXAMPLE, write_csv
@@ -47,6 +48,8 @@ def test_a_run_over_temperature_is_compensated_and_written(bench, readings, poly
     written = sorted(path.name for path in (tmp_path / "compensate").iterdir())
     assert written == ["warm.csv", "warm.h", "warm.json"]
     assert json.loads((tmp_path / "compensate" / "warm.json").read_text()) == result
+    (tmp_path / "python.json").write_text(json.dumps(compensate_in_python([str(readings)]).to_dict()))
+    assert json.loads((tmp_path / "python.json").read_text()) == result
     assert "u of a at 1 g: at most" in out
     _is_enough_for_u_at_a_temperature(
         result, float(re.search(r"at most (\S+) g at 1 g", _header(tmp_path))[1])
