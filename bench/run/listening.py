@@ -20,6 +20,7 @@ from bench.run.person import (
     ControlFile,
     Controls,
     LeftAnswer,
+    OperatorWish,
     RunControl,
     Stopped,
     WishAuthor,
@@ -123,6 +124,8 @@ If the previous prompt was answered elsewhere, a line typed within this time was
 """
 
 Tell = Callable[[EventType, dict[str, Any]], object]
+WhyNot = Callable[[RunControl], str]
+"""A function that returns why a wish cannot be obeyed now, or an empty string."""
 
 
 class _Elsewhere(Exception):
@@ -157,6 +160,7 @@ class Asker:
         self._record = record
         self._tell = tell
         self._controls = Controls()
+        self._why_not: WhyNot = lambda control: ""
         self._wishes: Collection[Wish] | None = ()
         self._answers = AnswersFile(folder, answers_read)
         self._clock = SystemClock() if clock is None else clock
@@ -164,9 +168,12 @@ class Asker:
         self._id, self._refused, self._answered = "", "", ""
         self._looked_s = 0.0
 
-    def attach(self, tell: Tell, controls: Controls) -> None:
-        """Serve a run from now on: record events by `tell`, and obey the operator's commands from `controls`."""
-        self._tell, self._controls, self._wishes = tell, controls, None
+    def attach(self, tell: Tell, controls: Controls, why_not: WhyNot = lambda control: "") -> None:
+        """Serve a run from now on: record events by `tell`, and obey the operator's commands from `controls`.
+
+        A wish that `why_not` refuses leaves the question open, so that no step begins again in vain.
+        """
+        self._tell, self._controls, self._wishes, self._why_not = tell, controls, None, why_not
         if self.terminal is not None:
             self.terminal.wishes = None
 
@@ -210,6 +217,11 @@ class Asker:
                 if prompt.action["do"] != "wait":
                     raise
                 return self._in_folder()  # the person who paused the run may be at the panel
+            except OperatorWish as wish:
+                if not (why := self._why_not(wish.control)):
+                    raise
+                self._refuse_wish(wish.control, why)
+                continue
             given = LeftAnswer(self._id, text, terminal.who)
             if not (after_another and terminal.by_hand and self._clock.now_s() - asked_s < READ_S):
                 break
@@ -250,13 +262,14 @@ class Asker:
                 raise
 
     def _hear(self, control: RunControl, prompt: Prompt) -> None:
-        if control.wish in (heard_at(prompt) if self._wishes is None else self._wishes):
+        heard = control.wish in (heard_at(prompt) if self._wishes is None else self._wishes)
+        why = self._why_not(control) if heard else message("this question does not accept it")
+        if not why:
             raise raised(control)
-        refusal = {
-            "wish": control.wish.value,
-            "why": message("this question does not accept it"),
-            **control.who.to_json(),
-        }
+        self._refuse_wish(control, why)
+
+    def _refuse_wish(self, control: RunControl, why: str) -> None:
+        refusal = {"wish": control.wish.value, "why": why, **control.who.to_json()}
         self._tell(EventType.WISH_REFUSED, refusal)
 
     # --- acceptance and refusal ----------------------------------------------------------------------

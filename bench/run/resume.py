@@ -27,6 +27,9 @@ from bench.run.person import OpenPrompt, OperatorWish, RunControl, problem_with_
 from drivers.interfaces import BenchError, NoAnswer
 from drivers.person import ATTEMPTS, Person, Prompt, PromptKind
 
+_LEVELLED: Final = "/platform"
+"""A part of the `id` of the questions at which a person turns the platform's screws (`Levelling`)."""
+
 
 @dataclass
 class PlanProgress:
@@ -44,7 +47,8 @@ class PlanProgress:
     `off_since_s` is the bench time of switching off; `warm` says whether the block has warmed up since it was
     switched on. `asked` tracks the open prompt; `answers_heard` is the number of lines already processed in the
     folder's file of answers. `chosen` lists the choices of points made during the run, in order; `left_out` holds
-    the steps that these choices drop. `resumed_by` names the persons who resumed the run.
+    the steps that these choices drop. `platform_moved` says whether a person levelled the platform since the last
+    turn to a point. `resumed_by` names the persons who resumed the run.
     """
 
     done: set[int] = field(default_factory=set)
@@ -65,6 +69,7 @@ class PlanProgress:
     answers_heard: int = 0
     chosen: list[Mapping[str, Any]] = field(default_factory=list)
     left_out: set[int] = field(default_factory=set)
+    platform_moved: bool = False
     resumed_by: list[str] = field(default_factory=list)
 
     def operators(self, first: object) -> str:
@@ -87,6 +92,7 @@ class PlanProgress:
             case EventType.STEP_DONE:
                 self.done.add(event.step)
                 self._note_temperature(event.data)
+                self.platform_moved &= "angle_deg" not in event.data
             case EventType.REMOUNTED:
                 place = (int(event.data["series"]), str(event.data["installation"]))
                 self.remounts[place] = int(event.data["now_series"])
@@ -115,6 +121,7 @@ class PlanProgress:
                 self._note_choice(event.data)
             case EventType.ANSWERED | EventType.ANSWER_REFUSED:
                 self.answers_heard = max(self.answers_heard, int(event.data.get("line", 0)))
+                self.platform_moved |= event.type == EventType.ANSWERED and _LEVELLED in str(event.data["id"])
 
     def _note_choice(self, chosen: Mapping[str, Any]) -> None:
         self.chosen.append(chosen)

@@ -156,7 +156,9 @@ class Runner:
             tell=recorder.tell,
         )
         if people.asker is not None:
-            people.asker.attach(recorder.tell, people.controls)
+            people.asker.attach(
+                recorder.tell, people.controls, lambda control: self._why_not(control, self._index)
+            )
             if people.asker.live is not None:
                 people.asker.live.attach(self._workbench)
         if bench.feeding is not None and (supply := bench.instruments.power_supply) is not None:
@@ -280,6 +282,7 @@ class Runner:
 
     def _restore(self, resume: ResumePoint) -> int:
         """Restore the bench, with every question before the long waits; return the step to continue with."""
+        self._workbench.platform_moved = self.progress.platform_moved
         before = self.plan.steps[: resume.step]
         for kind in (SetTemperature, Mount, SelectInput):
             kept = (step for i, step in enumerate(before) if i not in self.progress.left_out)
@@ -308,6 +311,7 @@ class Runner:
 
     def _decided(self, index: int) -> int:
         """Have a person decide on an open early sign before step `index`; return the step to continue with."""
+        self._index = index
         while self.progress.doubt is not None:
             try:
                 self._ask_in_doubt()
@@ -373,7 +377,11 @@ class Runner:
             self.people.asker.drain()
         if (control := self.people.controls.poll()) is None:
             return
-        if not (why := self._why_not(control, self._index)):
+        repeated = (
+            self._index is None and control.wish is Wish.PAUSE
+        )  # a soak before the steps would begin again
+        why = message("no step is running yet") if repeated else self._why_not(control, self._index)
+        if not why:
             raise raised(control)
         self._refuse(control, why)
 

@@ -9,14 +9,25 @@ import pytest
 
 from bench.base.arrays import ARCSEC
 from bench.config.procedure.plan import Level, Plan
-from bench.run.events import Wish, result_from_json, result_to_json
+from bench.run.events import EventType, Wish, result_from_json, result_to_json
 from bench.run.instruments import Instruments
 from bench.run.person import OperatorWish, RunControl
+from bench.run.record import Record, resume_point
 from bench.run.workbench import Levelling
 from benchmarks.levelling import Platform, levellings
 from drivers.interfaces import BadReading, BenchError, Identity, Inclination, LimitExceeded
+from drivers.person import Answer
 from sim.world.clock import VirtualClock
-from tests.support.runner_bench import Bench, Person, instruments, make_plan, new_record, recorded, runner_of
+from tests.support.runner_bench import (
+    NOON,
+    Bench,
+    Person,
+    instruments,
+    make_plan,
+    new_record,
+    recorded,
+    runner_of,
+)
 
 
 def bench(platform, setting_u_rad=0.0):
@@ -163,3 +174,37 @@ def test_no_point_is_repeated_on_a_platform_that_was_levelled_since(tmp_path, wi
         "wish_refused" if adjusted else "redo"
     ]
     assert recorded(tmp_path / "run")[1][-3:] == ["r21", "r22", "r23"]
+
+
+def test_after_a_stop_between_screws_and_measurement_no_point_is_repeated_either(tmp_path):
+    """Only the stopped program knew that the platform was levelled since the last point."""
+
+    class Recording(Person):
+        def ask(self, prompt):
+            answer = super().ask(prompt)
+            if "platform" in prompt.id and wishes and history is not None:
+                raise OperatorWish(RunControl(wishes.pop(), by_person=True))
+            if "platform" in prompt.id:
+                record.append(EventType.ANSWERED, 0.0, id=f"{prompt.id}@9", answer="yes")
+                if history is None:
+                    raise KeyboardInterrupt
+            return Answer(prompt.id, "untouched") if prompt.choices else answer
+
+    def runner(**options):
+        bench_of = Bench()
+        having = replace(instruments(bench_of), level=level)
+        return runner_of(plan, having, Recording(bench_of), VirtualClock(), record, **options)
+
+    level, wishes, history = Screws(Wish.REPEAT_POINT), [Wish.REPEAT_POINT], None
+    level.wishes.clear()
+    steps = [*make_plan().steps]
+    at = next(i for i, step in enumerate(steps) if step.key == "m2") + 1
+    steps[at:at] = [*steps[at : at + 3], Level("level", "2", 1, 1, 10.0 * ARCSEC)]
+    plan = Plan("test", tuple(steps), "")
+    with closing(new_record(tmp_path)) as record, pytest.raises(KeyboardInterrupt):
+        runner().run()
+    record, history = Record.reopen(tmp_path / "run", lambda: NOON)
+    with closing(record):
+        runner(progress=history.progress.copy()).run(resume_point(plan, history))
+    events = [e.type for e in recorded(tmp_path / "run")[0].events if e.type in {"redo", "wish_refused"}]
+    assert events == ["wish_refused"]

@@ -1,12 +1,20 @@
 """What an operator wishes during a run: again, left out, a pause, the end."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import pytest
 
+from bench.config.procedure.plan import Plan, SetTemperature, Wait
 from bench.run.events import Event, RunState, Wish
 from bench.run.folder import Run
-from bench.run.person import OperatorWish, RunControl
+from bench.run.listening import Asker
+from bench.run.person import NOBODY_KNOWN, OperatorWish, RunControl
 from bench.run.record import resume_point
 from bench.run.runner import RunAborted
+from drivers.instruments.manual import ManualThermometer
+from drivers.interfaces import Identity
+from drivers.person import Answer, PromptKind
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import PLAN, READS, Bench, Person, changed, make_runner, new_record, recorded
 
@@ -213,3 +221,75 @@ def test_a_wish_that_is_refused_does_not_begin_a_soak_again(tmp_path, wish):
     assert keys == READS
     told = [e.type for e in history.events if e.type == "wish_refused" or e.data.get("key") == "w"]
     assert told == ["step_started", "wish_refused", "step_done"]
+
+
+def test_a_wish_refused_at_a_later_question_of_a_mounting_does_not_ask_to_mount_again(tmp_path):
+    """The block was mounted, and its temperature asked: a refused ":redo" began with the clamping again."""
+    asked, wished = [], []
+    record = new_record(tmp_path)
+    asker = Asker(tmp_path / "run", record, lambda kind, data: None, clock=VirtualClock())
+
+    class Typist:
+        meanwhile, who, by_hand, wishes = None, NOBODY_KNOWN, False, None
+
+        def ask(self, prompt):
+            asked.append(prompt.id.partition("#")[0])
+            if prompt.kind is PromptKind.NUMBER and prompt.unit == "°C" and not wished:
+                wished.append(prompt.id)
+                raise OperatorWish(RunControl(Wish.REPEAT_POINT))
+            return Answer(prompt.id, "yes" if prompt.kind is PromptKind.CONFIRM else "23")
+
+    asker.terminal = Typist()
+    runner = changed(make_runner(Bench(), record), person=asker, asker=asker)
+    having = replace(
+        runner.bench.instruments,
+        thermometer=ManualThermometer("thermometer", asker, minimum_c=0, maximum_c=50, sensor=""),
+    )
+    runner = replace(runner, bench=replace(runner.bench, instruments=having))
+    runner.run()
+    record.close()
+    history, keys, _ = recorded(tmp_path / "run")
+    assert keys == READS
+    assert [e.data["wish"] for e in history.events if e.type == "wish_refused"] == ["redo"]
+    assert wished
+    assert asked.count("m1") == 1
+
+
+def test_a_pause_while_a_soak_is_repeated_does_not_begin_it_again(tmp_path):
+    """Nothing moves during it; the pause was not even obeyed."""
+    steps = [*PLAN.steps]
+    at = [step.key for step in steps].index("t13")
+    steps[at:at] = [SetTemperature("temperature", 40.0), Wait("soak", 60.0, "soak")]
+    plan = Plan("test", tuple(steps), "")
+    bench, record, left = Bench(), new_record(tmp_path), [Wish.MOUNT_AGAIN, Wish.PAUSE]
+
+    class Controls(Said):
+        def poll(self):
+            soaks = [k for k in begun if k == "soak"]
+            if (("move", "t13") in bench.done and len(left) == 2) or (len(soaks) == 2 and len(left) == 1):
+                return RunControl(left.pop(0))
+            return None
+
+    begun = []
+
+    def see(event):
+        if event.type == "step_started":
+            begun.append(event.data["key"])
+
+    runner = make_runner(bench, record, plan, controls=Controls({}), observers=[see], patience=VirtualClock())
+    chamber = SimpleNamespace(
+        name="chamber",
+        asks_person=False,
+        open=lambda: Identity("Espec", "P300"),
+        close=lambda: None,
+        make_safe=lambda: "",
+        set_temperature=lambda target_c, key: None,
+        temperature=lambda key, settling=False: 40.0,
+    )
+    replace(
+        runner, bench=replace(runner.bench, instruments=replace(runner.bench.instruments, chamber=chamber))
+    ).run()
+    record.close()
+    history, _, _ = recorded(tmp_path / "run")
+    assert begun.count("soak") == 2
+    assert [e.data["wish"] for e in history.events if e.type == "wish_refused"] == ["pause"]
