@@ -27,6 +27,7 @@ from bench.base.yaml_files import (
     unknown_word,
     validated,
 )
+from bench.calibration.conformity import Statement
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 from bench.services.errors import Refused
@@ -44,6 +45,11 @@ LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for langu
 """The supported languages, by their ISO 639-1 codes."""
 
 _BLANK: Final = re.compile(r"\{([a-z_]+)\}")
+_FIXED: Final = frozenset({
+    "draft", "draft_unsigned_text", "simulated", "unsigned", "unsigned_text", "statement_unsigned", "expired",
+    "no_certificate", *map(str, Statement),
+})  # fmt: skip
+"""Keys of the texts that limit what a certificate is worth, and of the statements of conformity."""
 
 
 @dataclass(frozen=True)
@@ -220,10 +226,18 @@ class Laboratory(Contact, StatedRule):
             own = stated[language]
             if language not in LANGUAGES or not isinstance(own, dict):
                 continue
-            known = sorted(texts_of(language).entries)
-            for key in own:
+            known = texts_of(language).entries
+            for key, text in own.items():
                 if key not in known:
-                    yield ("texts", language, key), unknown_word(str(key), known, "text")
+                    yield ("texts", language, key), unknown_word(str(key), sorted(known), "text")
+                elif key in _FIXED:
+                    yield ("texts", language, key), "no laboratory may replace this text; remove it"
+                else:
+                    blanks, usual = (set(_BLANK.findall(str(one))) for one in (text, known[key]))
+                    if blanks - usual or "statement" in usual - blanks:
+                        there = ", ".join(f"{{{name}}}" for name in sorted(usual))
+                        expected = f"the blanks {there}" if there else "no blanks"
+                        yield ("texts", language, key), f"expected {expected}; keep the names in braces"
 
     @property
     def register_folder(self) -> Path:

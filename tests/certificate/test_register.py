@@ -381,3 +381,17 @@ def test_a_laboratory_may_have_words_of_its_own(tmp_path):
     english, german = texts_for(laboratory)
     assert (english.say("title"), german.say("title")) == ("Calibration certificate", "Prüfschein")
     assert Path(laboratory.register_).name == "register"
+
+
+def test_a_laboratory_replaces_no_text_that_limits_a_certificate_and_keeps_the_blanks(tmp_path):
+    own = {
+        "fail": "pass", "simulated": " ", "unsigned": "signed", "conformity_text": "pass", "title": "{nme}",
+        "page": "{page}/{pages}",
+    }  # fmt: skip
+    laboratory, _ = write_files(tmp_path, {"texts": {"en": own}})
+    with pytest.raises(FileMistakes) as error:
+        load_laboratory(laboratory)
+    told = str(error.value)
+    assert [told.count(f"texts.en.{key}: ") for key in own] == [1, 1, 1, 1, 1, 0]
+    assert told.count("no laboratory may replace this text; remove it") == 3
+    assert "expected the blanks {limit}, {points}, {statement}; keep the names in braces" in told
