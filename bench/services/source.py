@@ -211,10 +211,20 @@ class Source:
 
 
 def load_sources(request: Request) -> list[Source]:
-    """Read all sources of a request. The first source that cannot be read raises its error."""
+    """Read all sources of a request; number tables in memory that would have one name.
+
+    The first source that cannot be read raises its error.
+    """
     check_gravity(request.g_m_s2)
     check_places(request)
-    return [_load(given, request) for given in request.sources]
+    loaded = [_load(given, request) for given in request.sources]
+    names = [one.name for one in loaded]
+    return [
+        one
+        if names.count(one.name) == 1
+        else replace(one, name=f"{one.name} {names[:at].count(one.name) + 1}")
+        for at, one in enumerate(loaded)
+    ]
 
 
 def check_places(request: Request) -> None:
