@@ -124,7 +124,7 @@ def _front(write: Writer) -> list[Block]:
     if issue is not None and issue.before is not None:
         told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
-    return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
+    return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.4g}"),
             _matrix(write), *proof.verdict_of(found, write)]  # fmt: skip
 
 

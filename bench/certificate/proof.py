@@ -119,7 +119,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
         symbol(value.name),
         "0" if exact else rounded(value.value / size, U),
         uncertainty(U),
-        f"{value.k:.3g}",
+        f"{value.k:.4g}",
         "∞" if math.isinf(value.dof) else freedom,
         unit or value.unit.replace("deg", "°"),
     ]
@@ -270,7 +270,7 @@ def _results(write: Writer) -> list[Block]:
         write.heading("results"),
         write.heading("coefficients", 2),
         _result_table(found, write, "coefficients"),
-        write.words("uncertainty_text", k=f"{certificate.k:.3g}", coverage=coverage),
+        write.words("uncertainty_text", k=f"{certificate.k:.4g}", coverage=coverage),
         write.heading("correlations", 2),
         {**write.words("correlations_text"), "sticky": True},
         _correlations(found, write),
@@ -361,9 +361,12 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
         points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=statement,
     )  # fmt: skip
     worst, scale = result.worst, 1e6
-    error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
+    error, U = (
+        local_number(text)
+        for text in (rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale))
+    )
     rows: list[tuple[str, list[Cell]]] = [
-        ("delta_g", [local_number(f"max |Δg| = {error} µg, U = {U} µg")]),
+        ("delta_g", [f"max |Δg| = {error} µg, U = {U} µg (k = {local_number(f'{worst.k:.4g}')})"]),
         ("rule", [rule_said(write.say, result.decision)]),
     ]
     if result.missing:
@@ -390,7 +393,7 @@ def _conformity(found: RunFindings, write: Writer) -> list[Block]:
             f"{p.angle_deg:.4f}°",
             rounded(p.delta_g * scale, p.U * scale, sign=True),
             uncertainty(p.U * scale),
-            f"{p.k:.3g}",
+            f"{p.k:.4g}",
             write.say(str(statement)),
             optional_probability(p.p_false_accept),
         ]

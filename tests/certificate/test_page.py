@@ -15,7 +15,7 @@ from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Person, load_laboratory, load_order, texts_of
 from bench.certificate.page import body_of, data_of, faults_of, pictures_of
-from bench.certificate.proof import Writer, verdict_of
+from bench.certificate.proof import Writer, value_cells, verdict_of
 from bench.certificate.signatures import check_pdf, sign_pdf
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, copy_run, write_files
@@ -320,3 +320,15 @@ def test_attached_files_are_described_in_each_language(certificate):
         if str(block).count("seal.json") and "rows" in block
     )
     assert rows[1][1] == ["результат", "the result"]
+
+
+def test_each_expanded_uncertainty_has_its_own_factor(certificate):
+    """The laboratory chose k of the coefficients; Δg has k = 2."""
+    own = certificate.found.coefficients
+    values = replace(own, values=tuple(replace(value, k=1.645) for value in own.values))
+    assert value_cells(values["Kxx"])[3] == "1.645"
+    told = data_of(replace(certificate, found=replace(certificate.found, coefficients=values)), DCC)
+    assert "k = 1.645" in str(told["front"])
+    (stated,) = (lines for block in told["front"] if block["kind"] == "pairs" for _, lines in block["rows"]
+                 if "max |Δg|" in str(lines))  # fmt: skip
+    assert stated[0].endswith("µg (k = 2)")
