@@ -9,7 +9,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.languages import message
-from bench.base.numbers import fixed, places, rounded, uncertainty
+from bench.base.numbers import rounded, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import visible
@@ -245,7 +245,6 @@ def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
     )
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
-        digits = places(one["u"])
         unit = coefficient_unit(name, result["unit"])
-        shown.add_row(name, fixed(one["value"], digits), fixed(one["u"], digits), unit)
+        shown.add_row(name, rounded(one["value"], one["u"]), uncertainty(one["u"]), unit)
     out.print(shown)
