@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
@@ -233,12 +234,13 @@ class VerifyResult(ResultModel):
                 out.print(f"{heading}: {visible(line)}")
 
 
-def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print the coefficients in `result`, the parsed JSON of `bench calibrate --json`, and what they mean."""
-    own = None if result.get("temperature_effects") else result.get("temperature_c")
-    at = result.get("holds_at_c", own)
+def print_coefficients(result: Mapping[str, Any], at_c: float, out: Console) -> None:
+    """Print the coefficients in `result`, the parsed JSON of `bench calibrate --json`, and what they mean.
+
+    `at_c` is the temperature at which they hold, °C; NaN if it is unknown.
+    """
     mark = "SIMULATED: " if result.get("simulated") else ""
-    where = message("at an unknown temperature") if at is None else message(f"at {at:.1f} °C")
+    where = message("at an unknown temperature") if math.isnan(at_c) else message(f"at {at_c:.1f} °C")
     out.print(
         f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
         f"+1 g on an upward axis), U in {result['unit']}, block {where}"
