@@ -106,11 +106,11 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Contribution:
-    """A source of uncertainty that does not show in the scatter of the readings.
+    """A source of uncertainty: the readings with the stand, or a source that does not show in their scatter.
 
-    `size` is the magnitude of the source in words. `most_in` names the coefficient to whose u the source
-    contributes the largest fraction, and `u` (in `unit`) is this contribution. If `prior` is True, `size` is the
-    program's assumption, because nobody stated it for this bench.
+    `size` is the magnitude of the source in words, empty for the readings. `most_in` names the coefficient to
+    whose u the source contributes the largest fraction, and `u` (in `unit`) is this contribution. If `prior` is
+    True, `size` is the program's assumption, because nobody stated it for this bench.
     """
 
     name: str

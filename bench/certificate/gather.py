@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, u_of
 from bench.base.files import to_text
+from bench.base.languages import message
 from bench.base.text import as_typed, visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
@@ -316,14 +317,21 @@ def _instruments(source: Source) -> Iterator[Instrument]:
 
 
 def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
-    u = result.calibration.u
-    for source in result.calibration.sources:
-        part = u_of(source.covariance)
+    own = result.calibration
+    scatter = (
+        message("readings and stand"),
+        "",
+        message("scatter of the readings, limits of the stand"),
+        False,
+    )
+    sources = [(scatter, own.covariance_readings)]
+    sources += [((one.name, one.size, one.origin, one.prior), one.covariance) for one in own.sources]
+    for told, covariance in sources:
+        part = u_of(covariance)
         if np.any(part > 0):
-            j = int(np.argmax(part / u))
-            unit = coefficient_unit(COEFFICIENTS[j], result.calibration.unit)
+            j = int(np.argmax(part / own.u))
             yield Contribution(
-                source.name, source.size, source.origin, source.prior, float(part[j]), COEFFICIENTS[j], unit
+                *told, float(part[j]), COEFFICIENTS[j], coefficient_unit(COEFFICIENTS[j], own.unit)
             )
 
 

@@ -321,7 +321,7 @@ def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
     rows: list[list[Cell]] = [
         [
             typeset(translated(one.name.replace("_", " "))),
-            typeset(_to_two_digits(one.size)),
+            typeset(_to_two_digits(one.size)) or NOBODY_SAYS,
             {"part": _size(one.u, one.unit), **symbol(one.most_in)},
             {"lines": [typeset(translated(one.origin)), *([write.say("prior")] if one.prior else [])]},
         ]

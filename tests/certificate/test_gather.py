@@ -18,6 +18,7 @@ from bench.certificate.gather import certificate_of, missing
 from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
 from bench.certificate.verify import Findings, against_record
 from bench.config.devices.device import Certificate as Held
+from bench.model.geometry import COEFFICIENTS
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 
@@ -211,3 +212,16 @@ def test_instruments_of_the_run_as_found_need_certificates_too(certificate):
     held = replace(certificate, found=replace(certificate.found, instruments=of_valid))
     assert held.uncertified == ()
     assert replace(held, as_found=certificate.found).uncertified == certificate.uncertified
+
+
+def test_the_parts_of_u_are_all_there_is_of_it(certificate):
+    own = certificate.found.result.calibration
+    told = certificate.found.contributions
+    assert [one.name for one in told] == [
+        "readings and stand",
+        *(s.name for s in own.sources if s.covariance.any()),
+    ]
+    assert np.allclose(own.covariance_readings + sum(s.covariance for s in own.sources), own.covariance)
+    readings = told[0]
+    place = COEFFICIENTS.index(readings.most_in)
+    assert readings.u == pytest.approx(np.sqrt(own.covariance_readings[place, place]))
