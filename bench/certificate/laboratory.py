@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.yaml_files import (
@@ -114,7 +114,13 @@ def stated_fields(
                 yield StatedField(name, tuple(map(str, several)), place)
 
 
-class Address(FileModel):
+class Printed(FileModel):
+    """A part of a file whose texts are printed: spaces around a text are removed, and spaces alone are no text."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+
+class Address(Printed):
     """A postal address; `country` is the two-letter code of ISO 3166-1."""
 
     street: str
@@ -137,7 +143,7 @@ class Address(FileModel):
         return self.street, f"{self.post_code} {self.city}, {self.country}"
 
 
-class Contact(FileModel):
+class Contact(Printed):
     """The contact data of a company or an authority."""
 
     name: str
@@ -146,14 +152,14 @@ class Contact(FileModel):
     phone: str | None = None
 
 
-class Person(FileModel):
+class Person(Printed):
     """A person who may authorise certificates."""
 
     name: str
     role: str | None = None
 
 
-class Accreditation(FileModel):
+class Accreditation(Printed):
     """The accreditation of a laboratory: the accreditation body and the number."""
 
     body: str
@@ -294,7 +300,7 @@ def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
 AS_FOUND, AS_LEFT = "as found", "as left"
 
 
-class Adjusted(FileModel):
+class Adjusted(Printed):
     """An adjustment or repair; `as_found` is the run (name or path) that shows the unit before it."""
 
     what: str
@@ -304,14 +310,14 @@ class Adjusted(FileModel):
         return self.what
 
 
-class External(FileModel):
+class External(Printed):
     """Results from an external provider: `what` results, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
 
     what: str
     by: str
 
 
-class Supplied(FileModel):
+class Supplied(Printed):
     """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
     `affects_validity` states whether a wrong value could invalidate a result; if so, page 1 has the warning
@@ -322,7 +328,7 @@ class Supplied(FileModel):
     affects_validity: bool = True
 
 
-class UnitOrder(FileModel):
+class UnitOrder(Printed):
     """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
     An entry without `serial` applies to all units. `calibrated` is the day of calibration if readings were
@@ -349,7 +355,7 @@ class UnitOrder(FileModel):
         return self
 
 
-class Order(StatedRule):
+class Order(Printed, StatedRule):
     """A validated order file.
 
     `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the rule in the

@@ -193,6 +193,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     the old one and the `reason`. Raises `Refused` if the old certificate is not valid, is for another unit or,
     unless `replaced`, is for another run.
     """
+    _require_reason(reason)
     person, certificate = desk.person(), _wanted(name, desk)
     with opened(Register(desk.laboratory.register_folder)) as register:
         old = holds(register, number).entry
@@ -216,11 +217,17 @@ def revoke(request: RevokeCertificate) -> None:
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
         raise Refused("nobody is named who authorises the revocation; give --authorised-by NAME")
+    _require_reason(request.reason)
     person = laboratory.authorised_person(request.authorised_by)
     with opened(Register(laboratory.register_folder)) as register:
         holds(register, request.number)
         told = {"reason": request.reason}
         register.append(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
+
+
+def _require_reason(reason: str) -> None:
+    if not reason.strip():
+        raise Refused("--reason: no text; state the reason, which the certificate or its register prints")
 
 
 def holds(register: Register, number: str) -> NumberStatus:

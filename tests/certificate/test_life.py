@@ -101,6 +101,8 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert said == hashlib.sha256(first).hexdigest()
     refused(bench(*amend, *desk), "it was amended by SIM-2026-0002")
     revoke = ("certificate", "revoke", "SIM-2026-0002", "--reason", "wrong unit", *desk[:2], *BY)
+    refused(bench(*revoke[:4], " ", *revoke[5:]), "--reason: no text; state the reason")
+    refused(bench(*amend[:5], "", *desk), "--reason: no text; state the reason")
     assert bench(*revoke)[0] == 0
     refused(bench(*revoke), "it was revoked: wrong unit")
     _, out, _ = bench("certificate", "register", *desk[:2])
