@@ -211,20 +211,12 @@ class Source:
 
 
 def load_sources(request: Request) -> list[Source]:
-    """Read all sources of a request; number tables in memory that would have one name.
-
-    The first source that cannot be read raises its error.
-    """
+    """Read all sources; number tables in memory of one name. The first unreadable source raises its error."""
     check_gravity(request.g_m_s2)
     check_places(request)
     loaded = [_load(given, request) for given in request.sources]
-    names = [one.name for one in loaded]
-    return [
-        one
-        if names.count(one.name) == 1
-        else replace(one, name=f"{one.name} {names[:at].count(one.name) + 1}")
-        for at, one in enumerate(loaded)
-    ]
+    twice = repeated(s.name for s in loaded)
+    return [replace(s, name=f"{s.name} {n}") if s.name in twice else s for n, s in enumerate(loaded, 1)]
 
 
 def check_places(request: Request) -> None:
