@@ -102,7 +102,7 @@ def shown(value: object) -> object:
 # --- numbers in texts --------------------------------------------------------------------------------
 
 _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_])")
-_WORDS: Final = re.compile(r"[^\W\d_]+")
+_WORDS: Final = re.compile(r"[^\W\d_²³]+")
 _UNITS: Final = frozenset({
     *"VgmshdAKCWkpuUnerσχxyz", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz",
     "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",

@@ -3,7 +3,7 @@
 The folders are authoritative: a deleted catalogue is rebuilt from them. Many folders are read by worker
 processes. Rows are written in atomic batches, so that the next sync continues an interrupted one, and
 simultaneous syncs lose nothing. A folder that was moved or renamed gives the same run. A copy of a folder is
-reported, and its run is counted once.
+reported, and its run is counted once, from a folder that is not damaged if there is one.
 """
 
 from __future__ import annotations
@@ -253,17 +253,17 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
         reason = found.reason
         if found.run is not None:
             reason = found.rows["runs"][0]["problem"] or ""
-            elsewhere = places.get(found.run, found.path)
-            here = elsewhere == found.path or not Path(elsewhere, MANIFEST).exists()
-            if here:
-                if elsewhere != found.path:
+            elsewhere, damaged = places.get(found.run, (found.path, False))
+            gone = elsewhere != found.path and not Path(elsewhere, MANIFEST).exists()
+            if elsewhere == found.path or gone or (damaged and not reason):
+                if gone:
                     left.append(elsewhere)
                     done.moved += 1
                 elif found.run not in places and (before is None or before["run"] is not None):
                     done.added += 1
                 else:
                     done.changed += 1
-                places[found.run] = found.path
+                places[found.run] = found.path, bool(reason)
                 runs.append(found.run)
                 for name, own in found.rows.items():
                     rows[name] += own
@@ -292,12 +292,12 @@ def _write(connection: Connection, batch: list[FolderEntry], known: dict[str, Ro
     _upsert(connection, FOLDERS, folders)
 
 
-def _places(connection: Connection, runs: list[int]) -> dict[int, str]:
-    """Return the path of each of the `runs` that the catalogue has."""
-    found: dict[int, str] = {}
+def _places(connection: Connection, runs: list[int]) -> dict[int, tuple[str, bool]]:
+    """Return the path of each of the `runs` that the catalogue has, and whether the run there has a problem."""
+    found: dict[int, tuple[str, bool]] = {}
     for some in _batches(runs, MOST_IN):
-        rows = connection.execute(select(RUNS.c.id, RUNS.c.path).where(RUNS.c.id.in_(some)))
-        found |= {run: path for run, path in rows}  # noqa: C416 - a result is no mapping
+        asked = select(RUNS.c.id, RUNS.c.path, RUNS.c.problem).where(RUNS.c.id.in_(some))
+        found |= {run: (path, bool(problem)) for run, path, problem in connection.execute(asked)}
     return found
 
 

@@ -106,11 +106,11 @@ class Instrument:
 
 @dataclass(frozen=True)
 class Contribution:
-    """A source of uncertainty that does not show in the scatter of the readings.
+    """A source of uncertainty: the readings with the stand, or a source that does not show in their scatter.
 
-    `size` is the magnitude of the source in words. `most_in` names the coefficient to whose u the source
-    contributes the largest fraction, and `u` (in `unit`) is this contribution. If `prior` is True, `size` is the
-    program's assumption, because nobody stated it for this bench.
+    `size` is the magnitude of the source in words, empty for the readings. `most_in` names the coefficient to
+    whose u the source contributes the largest fraction, and `u` (in `unit`) is this contribution. If `prior` is
+    True, `size` is the program's assumption, because nobody stated it for this bench.
     """
 
     name: str
@@ -186,6 +186,12 @@ class RunFindings:
     readings_csv: str
     notes: tuple[str, ...]
     simulated: bool
+
+    @property
+    def days(self) -> tuple[datetime.date, datetime.date] | None:
+        """The first and the last day of the run; None if the record does not state them."""
+        first, last = day_of(self.begun), day_of(self.ended)
+        return None if first is None or last is None else (first, last)
 
     @property
     def verification(self) -> Verification | None:
@@ -288,10 +294,16 @@ class Certificate:
     @property
     def calibrated(self) -> tuple[datetime.date, datetime.date] | None:
         """The first and the last day of the calibration; None if not stated."""
-        first, last = day_of(self.found.begun), day_of(self.found.ended)
-        if first is None or last is None:
-            first = last = None if self.unit is None else self.unit.calibrated
-        return None if first is None or last is None else (first, last)
+        stated = None if self.unit is None else self.unit.calibrated
+        return self.found.days or (None if stated is None else (stated, stated))
+
+    @property
+    def uncertified(self) -> tuple[str, ...]:
+        """The voltmeters and heads that lacked a valid certificate on the day of the run, or of that as found."""
+        runs = [self.found] if self.as_found is None else [self.found, self.as_found]
+        used = (one for run in runs for one in run.instruments)
+        lacking = (one.name for one in used if one.role in {"voltmeter", "head"} and not one.certified)
+        return tuple(dict.fromkeys(lacking))
 
     @property
     def state(self) -> str:
@@ -351,13 +363,6 @@ def stated(of: Verification) -> tuple[Statement, tuple[Statement, ...]]:
     points = tuple(by_rule(one.statement, of.rule, passed=one.passed) for one in of.points)
     missing = (Statement.NOT_COMPLETE,) if of.missing else ()
     return max((*points, *missing), key=list(Statement).index), points
-
-
-def uncertified(found: RunFindings) -> tuple[str, ...]:
-    """Return the names of voltmeters and heads without a valid certificate on the day of the run."""
-    return tuple(
-        one.name for one in found.instruments if one.role in {"voltmeter", "head"} and not one.certified
-    )
 
 
 def rule_said(say: Callable[..., Said], rule: DecisionRule) -> Said:

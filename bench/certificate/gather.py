@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.base.arrays import Floats, u_of
 from bench.base.files import to_text
+from bench.base.languages import message
 from bench.base.text import as_typed, visible
 from bench.calibration.budget.sources import hidden_sources
 from bench.calibration.budget.whole import dof_through
@@ -29,7 +30,6 @@ from bench.certificate.content import (
     RunReference,
     Value,
     Values,
-    uncertified,
 )
 from bench.certificate.laboratory import Laboratory, Order, Texts, texts_of
 from bench.exchange.result import ReportedNumbers
@@ -110,13 +110,17 @@ def _missing(certificate: Certificate) -> Iterator[str]:
         yield "the serial number of the unit (7.8.2.1 g): missing in the record"
     if not any(one.key == "temperature" for one in found.conditions):
         yield "the temperature during the calibration (7.8.4.1 b): missing in every reading"
-    names = uncertified(found)
-    if names and not found.simulated and (order is None or order.without_certificates is None):
+    if (
+        (names := certificate.uncertified)
+        and not found.simulated
+        and (order is None or order.without_certificates is None)
+    ):
         yield (
             f"the traceability of {', '.join(names)} (7.8.4.1 c): state certificates that are valid "
             "on the day of the run in the bench file before it, or the agreement as "
             "'without_certificates' in the order file"
         )
+    yield from _missing_before(certificate)
     if doubts := found.result.doubts:
         yield (
             f"agreement with the data sheet: {'; '.join(doubts)}; correct wiring or labels and measure again; if "
@@ -131,10 +135,30 @@ def _missing(certificate: Certificate) -> Iterator[str]:
         )
         return
     begun, ended = calibrated
+    if certificate.as_found is not None and certificate.as_found.days is not None:
+        begun = min(begun, certificate.as_found.days[0])
     if unit is not None and unit.received > begun:
         yield f"a day of receipt (7.8.2.1 h) before the calibration: {unit.received} is after {begun}"
     elif certificate.issue is not None and certificate.issue.day < str(ended):
         yield f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
+
+
+def _missing_before(certificate: Certificate) -> Iterator[str]:
+    found, before = certificate.found, certificate.as_found
+    if before is None:
+        return
+    what = f"results before the adjustment (7.8.4.1 d): the run 'as_found', {before.record.run},"
+    if before.record.head == found.record.head:
+        yield f"{what} is the calibrated run itself"
+    elif before.simulated != found.simulated:
+        yield f"{what} is {'simulated' if before.simulated else 'real'}, the calibrated one is not"
+    elif before.days is not None and certificate.calibrated is not None:
+        last, first = before.days[1], certificate.calibrated[0]
+        of_one_day = last == first and found.days is not None
+        if last > first or (
+            of_one_day and datetime.fromisoformat(before.ended) > datetime.fromisoformat(found.begun)
+        ):
+            yield f"{what} ended on {last}, after the calibration began on {first}"
 
 
 def found_by(
@@ -293,14 +317,21 @@ def _instruments(source: Source) -> Iterator[Instrument]:
 
 
 def _contributions(result: CalibrationResult) -> Iterator[Contribution]:
-    u = result.calibration.u
-    for source in result.calibration.sources:
-        part = u_of(source.covariance)
+    own = result.calibration
+    scatter = (
+        message("readings and stand"),
+        "",
+        message("scatter of the readings, limits of the stand"),
+        False,
+    )
+    sources = [(scatter, own.covariance_readings)]
+    sources += [((one.name, one.size, one.origin, one.prior), one.covariance) for one in own.sources]
+    for told, covariance in sources:
+        part = u_of(covariance)
         if np.any(part > 0):
-            j = int(np.argmax(part / u))
-            unit = coefficient_unit(COEFFICIENTS[j], result.calibration.unit)
+            j = int(np.argmax(part / own.u))
             yield Contribution(
-                source.name, source.size, source.origin, source.prior, float(part[j]), COEFFICIENTS[j], unit
+                *told, float(part[j]), COEFFICIENTS[j], coefficient_unit(COEFFICIENTS[j], own.unit)
             )
 
 

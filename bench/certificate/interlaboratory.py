@@ -6,7 +6,7 @@ import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Annotated, Final, Literal
 
@@ -32,7 +32,7 @@ from bench.history.measured import STANDARD_GRAVITY
 from bench.results.interlaboratory import CHANGED_P, KitResult, drifts_of, laboratories_of, render_kit
 from bench.results.parts import ValuePart
 from bench.services.arguments import python_call
-from bench.services.coefficients import snapshot_of, snapshots_in
+from bench.services.coefficients import coefficients_of, results_in, snapshot_of
 from bench.services.errors import Refused
 from bench.services.history import check_run
 from bench.services.requests.documents import EvaluateKit, PlanKit, SealKit
@@ -79,11 +79,11 @@ class Kit(_PlanPart):
         return found
 
 
-def plan_kit(block: str, laboratories: Sequence[str], seed: int) -> Kit:
+def plan_kit(block: str, laboratories: Sequence[str], seed: int | None) -> Kit:
     """Return the plan: the first laboratory (the pilot) measures first, after every two other ones, and last.
 
-    The order of the other laboratories and the codes are random, drawn with `seed`. Raises `Refused` for fewer than
-    three laboratories, or a name given twice.
+    The order of the other laboratories and the codes are random, drawn with `seed`; without one nobody can draw
+    them again. Raises `Refused` for fewer than three laboratories, or a name given twice.
     """
     if len(laboratories) < 3 or len(set(laboratories)) < len(laboratories):
         raise Refused(
@@ -141,7 +141,7 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
     """
     kit, given, g_m_s2 = load_kit(Path(request.plan)), _results(request), request.g
     checks = _by_code(request.check)
-    problems = [f"{s.code}: no result is given" for s in kit.stops if s.code not in given]
+    problems = [f"{s.code}: no result is given; add {s.code}=FILE" for s in kit.stops if s.code not in given]
     problems += [
         f"{s.code}: has no seal; seal every result before any is opened" for s in kit.stops if not s.seal
     ]
@@ -153,6 +153,11 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
     if problems:
         raise Refused("\n".join(problems))
     read = {s.code: _read(Path(given[s.code]), g_m_s2) for s in kit.stops}
+    for (code, (one, _)), (other, (same, _)) in combinations(read.items(), 2):
+        if np.array_equal(one.vector, same.vector):
+            raise Refused(
+                f"{code}, {other}: the results are the same to the last digit; ask for a result of each calibration"
+            )
     there = {code: replace(one, block=kit.block) for code, (one, _) in read.items()}
     pilots = [s.code for s in kit.stops if s.pilot]
     once = [s.code for s in kit.stops if s.code not in pilots[1:]]
@@ -185,8 +190,22 @@ def kit_evaluated(request: EvaluateKit) -> KitResult:
         dark=dict(zip(INTRINSIC, dark.tolist(), strict=True)), laboratories=laboratories_of(once, judged),
         transport_p=p_same, drifts=parts, transport=dict(zip(INTRINSIC, transport.tolist(), strict=True)), off=off,
         accepted=not off and (p_same is None or p_same >= CHANGED_P) and not any(one.changed for one in parts),
-        notes=[f"{code}: {note}" for code, (_, notes) in read.items() for note in notes],
+        notes=[
+            *_other_blocks({code: one.block for code, (one, _) in read.items()}),
+            *(f"{code}: {note}" for code, (_, notes) in read.items() for note in notes),
+        ],
     )  # fmt: skip
+
+
+def _other_blocks(named: Mapping[str, str]) -> Iterator[str]:
+    """Yield a note if results name several blocks; `named` has the block by code, "" if not stated."""
+    codes: dict[str, list[str]] = {}
+    for code, block in named.items():
+        codes.setdefault(block, []).append(code)
+    codes.pop("", None)
+    if len(codes) > 1:
+        each = "; ".join(f"{block}: {', '.join(of)}" for block, of in codes.items())
+        yield f"the results name several blocks ({each}); check that each is of the travelling block"
 
 
 _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
@@ -224,11 +243,16 @@ def _between_checks(kit: Kit, checks: Mapping[str, Sequence[str]]) -> Iterator[_
 
 def _read(path: Path, g_m_s2: float | None) -> tuple[Snapshot, list[str]]:
     """Return a result, and notes on it; none on its signature, which names the laboratory."""
+    notes: list[str] = []
     if path.suffix.lower() in {".xml", ".pdf"}:
         data, (_, *notes) = coefficients_in(path, g_m_s2, "0 V")
-        one = snapshot_of(data, str(path))
     else:
-        (one,), notes = snapshots_in(path), []
+        (data, _), *more = results_in(path)
+        if more:
+            raise Refused(f"{path}: has {len(more) + 1} results; give a file with one")
+    one = snapshot_of(data, str(path))
+    if not coefficients_of(data, str(path)).fits:
+        notes.append("not accepted by its laboratory: the readings contradict the model")
     if one.simulated:
         notes.append("of simulated instruments")
     if one.block_terms is None:

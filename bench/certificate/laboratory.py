@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import BeforeValidator, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.yaml_files import (
@@ -27,6 +27,7 @@ from bench.base.yaml_files import (
     unknown_word,
     validated,
 )
+from bench.calibration.conformity import Statement
 from bench.config.bench_file.stand import StatedRule
 from bench.config.devices.device import Day
 from bench.services.errors import Refused
@@ -44,6 +45,11 @@ LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for langu
 """The supported languages, by their ISO 639-1 codes."""
 
 _BLANK: Final = re.compile(r"\{([a-z_]+)\}")
+_FIXED: Final = frozenset({
+    "draft", "draft_unsigned_text", "simulated", "unsigned", "unsigned_text", "statement_unsigned", "expired",
+    "no_certificate", *map(str, Statement),
+})  # fmt: skip
+"""Keys of the texts that limit what a certificate is worth, and of the statements of conformity."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +114,13 @@ def stated_fields(
                 yield StatedField(name, tuple(map(str, several)), place)
 
 
-class Address(FileModel):
+class Printed(FileModel):
+    """A part of a file whose texts are printed: spaces around a text are removed, and spaces alone are no text."""
+
+    model_config = ConfigDict(str_strip_whitespace=True)
+
+
+class Address(Printed):
     """A postal address; `country` is the two-letter code of ISO 3166-1."""
 
     street: str
@@ -131,7 +143,7 @@ class Address(FileModel):
         return self.street, f"{self.post_code} {self.city}, {self.country}"
 
 
-class Contact(FileModel):
+class Contact(Printed):
     """The contact data of a company or an authority."""
 
     name: str
@@ -140,14 +152,14 @@ class Contact(FileModel):
     phone: str | None = None
 
 
-class Person(FileModel):
+class Person(Printed):
     """A person who may authorise certificates."""
 
     name: str
     role: str | None = None
 
 
-class Accreditation(FileModel):
+class Accreditation(Printed):
     """The accreditation of a laboratory: the accreditation body and the number."""
 
     body: str
@@ -220,10 +232,18 @@ class Laboratory(Contact, StatedRule):
             own = stated[language]
             if language not in LANGUAGES or not isinstance(own, dict):
                 continue
-            known = sorted(texts_of(language).entries)
-            for key in own:
+            known = texts_of(language).entries
+            for key, text in own.items():
                 if key not in known:
-                    yield ("texts", language, key), unknown_word(str(key), known, "text")
+                    yield ("texts", language, key), unknown_word(str(key), sorted(known), "text")
+                elif key in _FIXED:
+                    yield ("texts", language, key), "no laboratory may replace this text; remove it"
+                else:
+                    blanks, usual = (set(_BLANK.findall(str(one))) for one in (text, known[key]))
+                    if blanks - usual or "statement" in usual - blanks:
+                        there = ", ".join(f"{{{name}}}" for name in sorted(usual))
+                        expected = f"the blanks {there}" if there else "no blanks"
+                        yield ("texts", language, key), f"expected {expected}; keep the names in braces"
 
     @property
     def register_folder(self) -> Path:
@@ -280,7 +300,7 @@ def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
 AS_FOUND, AS_LEFT = "as found", "as left"
 
 
-class Adjusted(FileModel):
+class Adjusted(Printed):
     """An adjustment or repair; `as_found` is the run (name or path) that shows the unit before it."""
 
     what: str
@@ -290,14 +310,14 @@ class Adjusted(FileModel):
         return self.what
 
 
-class External(FileModel):
+class External(Printed):
     """Results from an external provider: `what` results, `by` whom (ISO/IEC 17025:2017, 7.8.2.1 p)."""
 
     what: str
     by: str
 
 
-class Supplied(FileModel):
+class Supplied(Printed):
     """Data from the customer that the certificate uses (ISO/IEC 17025:2017, 7.8.2.2).
 
     `affects_validity` states whether a wrong value could invalidate a result; if so, page 1 has the warning
@@ -308,7 +328,7 @@ class Supplied(FileModel):
     affects_validity: bool = True
 
 
-class UnitOrder(FileModel):
+class UnitOrder(Printed):
     """A unit in an order: its receipt, its condition, and whether the run shows it as found or as left.
 
     An entry without `serial` applies to all units. `calibrated` is the day of calibration if readings were
@@ -335,7 +355,7 @@ class UnitOrder(FileModel):
         return self
 
 
-class Order(StatedRule):
+class Order(Printed, StatedRule):
     """A validated order file.
 
     `rule` and `guard_band` are the decision rule agreed with the customer, which overrides the rule in the

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.files import read_json, read_regular, write_whole
+from bench.base.text import as_typed
 from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
@@ -148,11 +149,31 @@ def _issue(name: str, desk: Desk, person: Person, register: Register) -> IssuedR
     certificate = _wanted(name, desk)
     with opened(register):
         head = certificate.found.record.head
-        for known in register.standings.values():
-            if known.state == ISSUED and known.entry.data["record"]["head"] == head:
+        same = [one for one in register.standings.values() if one.entry.data["record"]["head"] == head]
+        for known in same:
+            if known.state == ISSUED:
                 files = [str(register.folder / file) for file in known.entry.files]
                 return _outcome(name, known.entry.number, files=files, issued_before=True)
-        return _write(certificate, desk, person, register, None)
+        return _write(certificate, desk, person, register, _revoked_of(name, same, register))
+
+
+def _revoked_of(name: str, same: Sequence[NumberStatus], register: Register) -> Before | None:
+    """Return the revoked certificate that a new one of the run `name` replaces; None if the run never had one.
+
+    `same` are the earlier certificates of the run. Raises `Refused` if another certificate in force replaced them.
+    """
+    if not same:
+        return None
+    last = same[-1]
+    while last.state not in {ISSUED, REVOKED}:
+        last = register.standings[last.by]
+    entry = last.entry
+    if last.state == ISSUED:
+        raise Refused(
+            f"{name}: its certificate {same[-1].entry.number} was replaced by {entry.number}; 'bench certificate "
+            f"amend {entry.number} {as_typed(name)} --replace --reason TEXT' replaces the latter"
+        )
+    return Before("replaced", entry.number, entry.time[:10], last.by, entry.files[f"{entry.number}.xml"])
 
 
 def _wanted(name: str, desk: Desk) -> Certificate:
@@ -172,6 +193,7 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
     the old one and the `reason`. Raises `Refused` if the old certificate is not valid, is for another unit or,
     unless `replaced`, is for another run.
     """
+    _require_reason(reason)
     person, certificate = desk.person(), _wanted(name, desk)
     with opened(Register(desk.laboratory.register_folder)) as register:
         old = holds(register, number).entry
@@ -195,11 +217,17 @@ def revoke(request: RevokeCertificate) -> None:
     laboratory = laboratory_in(request.laboratory)
     if request.authorised_by is None:
         raise Refused("nobody is named who authorises the revocation; give --authorised-by NAME")
+    _require_reason(request.reason)
     person = laboratory.authorised_person(request.authorised_by)
     with opened(Register(laboratory.register_folder)) as register:
         holds(register, request.number)
         told = {"reason": request.reason}
         register.append(Entry(REVOKED, request.number, issued_at(utc_now()), person.name, told))
+
+
+def _require_reason(reason: str) -> None:
+    if not reason.strip():
+        raise Refused("--reason: no text; state the reason, which the certificate or its register prints")
 
 
 def holds(register: Register, number: str) -> NumberStatus:
@@ -231,7 +259,8 @@ def _write(
     signed_by = None if desk.signatory is None else desk.signatory.name
     issue = Issue(number, issued_at(now), person, before, signed_by or "")
     whole = replace(certificate, issue=issue)
-    if lacking := missing(whole):
+    lacking = [*missing(whole), *_clock_set_back(register, issue)]
+    if lacking:
         raise Refused(f"{whole.found.record.run}: not issued; missing: {'; '.join(lacking)}")
     bodies = bodies_of(whole, desk.schemas)
     contents = signed(bodies, whole, desk.signatory, now)
@@ -257,6 +286,17 @@ def _write(
     entry = Entry(ISSUED, number, issue.issued, person.name, data)
     register.issue(entry, contents)
     return _outcome(found.record.run, number, files=[str(register.folder / name) for name in contents])
+
+
+def _clock_set_back(register: Register, issue: Issue) -> Iterator[str]:
+    """Yield a sentence if the register has a certificate of a later day."""
+    entries = [one.entry for one in register.standings.values()]
+    latest = max(entries, key=lambda entry: entry.time[:10], default=None)
+    if latest is not None and issue.day < latest.time[:10]:
+        yield (
+            f"the day of issue (7.8.2.1 j): this computer's clock shows {issue.day}, but {latest.number} was "
+            f"issued on {latest.time[:10]}; set the clock"
+        )
 
 
 def bodies_of(certificate: Certificate, schemas: etree.XMLSchema | None = None) -> Bodies:

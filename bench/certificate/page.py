@@ -20,7 +20,7 @@ from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.numbers import rounded, uncertainty
 from bench.certificate import proof
 from bench.certificate.content import Attached, Certificate, day_of
-from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, plain
+from bench.certificate.proof import NOBODY_SAYS, Block, Cell, Writer, days_in_words, plain
 from bench.services.errors import Refused
 
 DCC: Final = "dcc.xml"
@@ -56,7 +56,7 @@ def _data_of(certificate: Certificate, dcc: bytes) -> dict[str, Any]:
     # PDF/A needs a date; a draft bears that of the run's end, so that its bytes do not depend on the clock
     day = day_of(certificate.found.ended if issue is None else issue.issued) or date(1970, 1, 1)
     attached = attachments_of(certificate, dcc)
-    listed = [(one.name, one.description, sha256(one.content).hexdigest()) for one in attached]
+    listed = [(one.name, sha256(one.content).hexdigest()) for one in attached]
     told = {
         "languages": [text.language for text in certificate.texts],
         "title": f"{title[0]} {certificate.number}".strip(),
@@ -115,7 +115,7 @@ def _front(write: Writer) -> list[Block]:
         ("customer", [] if customer is None else [customer.name, ", ".join(customer.address.lines)]),
         ("order", [] if order is None else [" · ".join(filter(None, (order.number, reference)))]),
         ("received", [] if unit is None else [f"{unit.received} · {unit.condition}"]),
-        ("calibrated", [_days(certificate)]),
+        ("calibrated", [days_in_words(certificate.calibrated)]),
         ("place", [certificate.place]),
         ("state", [write.say(certificate.state.replace(" ", "_"))] if certificate.state else []),
         *write.stated("front"),
@@ -124,16 +124,8 @@ def _front(write: Writer) -> list[Block]:
     if issue is not None and issue.before is not None:
         told = {**vars(issue.before), "kind": write.say(issue.before.kind)}
         blocks.append(write.words("replaces", **told))
-    return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.3g}"),
+    return [*blocks, write.heading("results"), write.words("answer_text", k=f"{certificate.k:.4g}"),
             _matrix(write), *proof.verdict_of(found, write)]  # fmt: skip
-
-
-def _days(certificate: Certificate) -> str:
-    """Return the first and the last day of the calibration, or one day if both coincide."""
-    if certificate.calibrated is None:
-        return ""
-    first, last = certificate.calibrated
-    return str(first) if first == last else f"{first} … {last}"
 
 
 def _matrix(write: Writer) -> Block:

@@ -6,12 +6,14 @@ import math
 import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from datetime import date
 from typing import Any, Final
 
 from bench.base.arrays import ARCSEC
 from bench.base.languages import language, local_number, translated
 from bench.base.numbers import aligned, fixed, quantity, rounded, two_digits, typeset, uncertainty
 from bench.base.text import visible
+from bench.calibration.conformity import Statement
 from bench.certificate.content import (
     Certificate,
     Condition,
@@ -21,7 +23,6 @@ from bench.certificate.content import (
     Values,
     rule_said,
     stated,
-    uncertified,
 )
 from bench.certificate.laboratory import in_each
 from bench.results.plots import residuals_by_angle, verification_points
@@ -118,7 +119,7 @@ def value_cells(value: Value, size: float = 1.0, unit: str = "") -> list[Cell]:
         symbol(value.name),
         "0" if exact else rounded(value.value / size, U),
         uncertainty(U),
-        f"{value.k:.3g}",
+        f"{value.k:.4g}",
         "∞" if math.isinf(value.dof) else freedom,
         unit or value.unit.replace("deg", "°"),
     ]
@@ -159,6 +160,11 @@ def span(low: float, high: float, u: float | None, unit: str) -> str:
     return local_number(f"{text} ± {uncertainty(2.0 * u)} {unit} (k = 2)" if u else text)
 
 
+def days_in_words(days: tuple[date, date] | None) -> str:
+    """Return the first and the last day, or one day if both coincide; empty if unknown."""
+    return "" if days is None else " … ".join(dict.fromkeys(map(str, days)))
+
+
 def plain(told: Any) -> Any:
     """Return data with control characters visible, so that no text on the page can hide another."""
     if isinstance(told, dict):
@@ -172,8 +178,8 @@ _FORMULA: Final = "U = K a + U₀,  a = N (U − U₀),  N = K⁻¹,  Δg = |a| 
 _RESULT_COLUMNS: Final = ["auto", 1.2, 1, 0.7, 0.8, 0.6]
 
 
-def pages(write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
-    """Return the blocks of all pages but the first; `attached` has name, description and SHA-256 of each file."""
+def pages(write: Writer, attached: list[tuple[str, str]]) -> list[Block]:
+    """Return the blocks of all pages but the first; `attached` has name and SHA-256 of each file."""
     found = write.certificate.found
     return [
         *_method(write),
@@ -232,9 +238,9 @@ def _equipment(write: Writer) -> list[Block]:
             head, [_instrument(one, write) for one in found.instruments], "llll", [0.9, 1.4, 1.6, 0.8]
         ),
     ]
-    if uncertified(found):
+    if names := write.certificate.uncertified:
         reason = None if order is None else order.without_certificates
-        blocks.append(write.words("untraced_text", reason=reason or ", ".join(uncertified(found))))
+        blocks.append(write.words("untraced_text", reason=reason or ", ".join(names)))
     return [*blocks, write.words("traceability_text")]
 
 
@@ -264,7 +270,7 @@ def _results(write: Writer) -> list[Block]:
         write.heading("results"),
         write.heading("coefficients", 2),
         _result_table(found, write, "coefficients"),
-        write.words("uncertainty_text", k=f"{certificate.k:.3g}", coverage=coverage),
+        write.words("uncertainty_text", k=f"{certificate.k:.4g}", coverage=coverage),
         write.heading("correlations", 2),
         {**write.words("correlations_text"), "sticky": True},
         _correlations(found, write),
@@ -279,7 +285,8 @@ def _results(write: Writer) -> list[Block]:
         _result_table(found, write, "intrinsic"),
     ]
     if before is not None:
-        blocks += [write.heading("before"), _result_table(before, write, "coefficients")]
+        dated = write.pairs([("calibrated", [days_in_words(before.days)])])
+        blocks += [write.heading("before"), _result_table(before, write, "coefficients"), dated]
         blocks += verdict_of(before, write)
     return blocks
 
@@ -314,7 +321,7 @@ def _uncertainty(found: RunFindings, write: Writer) -> list[Block]:
     rows: list[list[Cell]] = [
         [
             typeset(translated(one.name.replace("_", " "))),
-            typeset(_to_two_digits(one.size)),
+            typeset(_to_two_digits(one.size)) or NOBODY_SAYS,
             {"part": _size(one.u, one.unit), **symbol(one.most_in)},
             {"lines": [typeset(translated(one.origin)), *([write.say("prior")] if one.prior else [])]},
         ]
@@ -345,16 +352,21 @@ def verdict_of(found: RunFindings, write: Writer) -> list[Block]:
     """Return the blocks of the statement of conformity, made from a run's results."""
     result = found.verification
     if result is None:
-        return [write.words("no_conformity")]
+        if found.result.accepted:
+            return [write.words("no_conformity")]
+        return [{**write.words(Statement.MISFIT.value), "strong": True}]
     statement = write.say(str(stated(result)[0]))
     told = write.words(
         "conformity_text",
         points=len(result.points), limit=typeset(f"{result.limit_g:g}"), statement=statement,
     )  # fmt: skip
     worst, scale = result.worst, 1e6
-    error, U = rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale)
+    error, U = (
+        local_number(text)
+        for text in (rounded(abs(worst.delta_g) * scale, worst.U * scale), uncertainty(worst.U * scale))
+    )
     rows: list[tuple[str, list[Cell]]] = [
-        ("delta_g", [local_number(f"max |Δg| = {error} µg, U = {U} µg")]),
+        ("delta_g", [f"max |Δg| = {error} µg, U = {U} µg (k = {local_number(f'{worst.k:.4g}')})"]),
         ("rule", [rule_said(write.say, result.decision)]),
     ]
     if result.missing:
@@ -381,7 +393,7 @@ def _conformity(found: RunFindings, write: Writer) -> list[Block]:
             f"{p.angle_deg:.4f}°",
             rounded(p.delta_g * scale, p.U * scale, sign=True),
             uncertainty(p.U * scale),
-            f"{p.k:.3g}",
+            f"{p.k:.4g}",
             write.say(str(statement)),
             optional_probability(p.p_false_accept),
         ]
@@ -414,16 +426,16 @@ def _drawn(draw: Callable[[Any], str], of: Any) -> str:
 # --- record -------------------------------------------------------------------------------------------
 
 
-def _record(write: Writer, attached: list[tuple[str, str, str]]) -> list[Block]:
+def _record(write: Writer, attached: list[tuple[str, str]]) -> list[Block]:
     certificate = write.certificate
     record = certificate.found.record
     sealed = write.words("seal_text", sealed=record.sealed) if record.sealed else write.words("no_seal")
     signed = "unsigned" if certificate.unsigned else "signed_itself"
     head: list[Cell] = [write.say(key) for key in ("file", "description", "digest")]
     rows: list[list[Cell]] = []
-    for name, contents, digest in attached:  # name and hash are set in a monospaced font
+    for name, digest in attached:  # name and hash are set in a monospaced font
         parts = [{"code": digest[at : at + _CODE_LENGTH]} for at in range(0, len(digest), _CODE_LENGTH)]
-        rows.append([{"code": name}, contents, {"lines": parts}])
+        rows.append([{"code": name}, write.say(name), {"lines": parts}])
     return [
         write.heading("record"),
         write.words("record_text", run=record.run, events=record.events, head=record.head),

@@ -100,7 +100,7 @@ class Register(Chain):
             self.standings[entry.number] = NumberStatus(entry)
             before = entry.data.get("before") or {}
             old = self.standings.get(str(before.get("number")))
-            if old is not None:
+            if old is not None and old.state == ISSUED:  # a revoked one stays revoked
                 self.standings[old.entry.number] = NumberStatus(old.entry, str(before["kind"]), entry.number)
         elif entry.kind == REVOKED and standing is not None:
             self.standings[entry.number] = NumberStatus(

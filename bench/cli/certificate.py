@@ -139,6 +139,7 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
     from bench.base.files import to_text, write_whole
     from bench.certificate.dcc.reading import coefficients_in, document_in, has_coefficients, section_of
     from bench.results.certificate import print_coefficients
+    from bench.services.coefficients import holds_at
     from bench.services.source import check_gravity
 
     check_gravity(request.g)
@@ -155,7 +156,7 @@ def read(request: ReadCertificate, json: JsonOption = None) -> int:
         return 0
     result, notes = coefficients_in(request.file, request.g, request.noise)
     printing.write_json([result], json)
-    print_coefficients(result, on)
+    print_coefficients(result, holds_at(result), on)
     printing.notes_aside(notes)
     if request.out is not None:
         write_whole(request.out, to_text(result))

@@ -14,6 +14,7 @@ from pydantic import Field
 from bench.base.arrays import Floats, u_of
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.text import one_line
+from bench.base.units import parse_quantity
 from bench.calibration.intrinsic import intrinsic, intrinsic_unit
 from bench.calibration.result import (
     BY_CONVENTION,
@@ -23,6 +24,7 @@ from bench.calibration.result import (
     inverse,
     misalignments,
 )
+from bench.config.bench_file.stand import CUBIC, QUADRATIC
 from bench.model.geometry import COEFFICIENTS, Block
 
 SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
@@ -149,6 +151,13 @@ class BlockPart(ResultModel):
     serial: str
 
 
+class SizePart(ResultModel):
+    """The size of an error."""
+
+    u: float
+    unit: str
+
+
 class CoefficientsResult(ResultModel):
     """The data of a calibration for a navigation computer; for several sources, a list of these."""
 
@@ -192,6 +201,10 @@ class CoefficientsResult(ResultModel):
     effects: dict[str, FittedEffectPart] = Field(
         default={},
         description="parameters of the block's effects in the model, which these numbers leave out",
+    )
+    nonlinearity: dict[str, SizePart] = Field(
+        default={},
+        description="u of K2 and K3 of each axis, which adds to u above 1 g; empty if the result states none",
     )
     notes: list[str] = Field(default=[], description="remarks of the calibration for the reader")
     valid: str = Field(
@@ -339,6 +352,20 @@ class BlockResult:
         return {name: one_line(text) for name, text in told.items()}
 
     @property
+    def _nonlinearity(self) -> dict[str, SizePart]:
+        """u of K2 and K3 as numbers; empty if a size is unknown."""
+        kinds = {"K2": QUADRATIC, "K3": CUBIC}
+        if len(self.nonlinearity) < len(kinds):
+            return {}
+        try:
+            return {
+                name: SizePart(u=float(f"{parse_quantity(size, kind):.12g}"), unit=kind.si)
+                for (name, kind), size in zip(kinds.items(), self.nonlinearity, strict=True)
+            }
+        except ValueError:
+            return {}
+
+    @property
     def _range(self) -> str:
         """A sentence on the accelerations and the temperature for which u and the covariances hold."""
         terms = " and ".join(
@@ -378,6 +405,7 @@ class BlockResult:
             misalignments=self.misalignments.part(convention=CONVENTION),
             temperature=self.facts().get("temperature"),
             effects={one.name: one for one in self.effects},
+            nonlinearity=self._nonlinearity,
             valid=self._range,
             **({"convention": self._convention} if self.signs else {}),
             check=CheckPart(

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from bench.base.arrays import Floats
 from bench.base.languages import message
-from bench.base.numbers import fixed, places, scale_for, two_digits
+from bench.base.numbers import fixed, places, scale_for, two_digits, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
@@ -292,7 +292,7 @@ def coefficient_rows(calibrations: Sequence[UnitCalibration]) -> list[tuple[str,
         since = [values[-1, j] - values[k, j] for k in ((-2, 0) if len(values) > 1 else ())]
         changes = [fixed(float(change), digits, sign=True) for change in since] or ["–", "–"]
         unit = calibrations[-1].unit + ("" if name.startswith("U0") else "/g")
-        rows.append((name, fixed(last, digits), fixed(expanded, digits), *changes, unit))
+        rows.append((name, fixed(last, digits), uncertainty(expanded), *changes, unit))
     return rows
 
 

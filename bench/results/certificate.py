@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final, Literal
 
@@ -9,7 +10,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.languages import message
-from bench.base.numbers import fixed, places, rounded, uncertainty
+from bench.base.numbers import rounded, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.base.text import visible
@@ -233,19 +234,19 @@ class VerifyResult(ResultModel):
                 out.print(f"{heading}: {visible(line)}")
 
 
-def print_coefficients(result: Mapping[str, Any], out: Console) -> None:
-    """Print the coefficients in `result`, the parsed JSON of `bench calibrate --json`, and what they mean."""
-    own = None if result.get("temperature_effects") else result.get("temperature_c")
-    at = result.get("holds_at_c", own)
+def print_coefficients(result: Mapping[str, Any], at_c: float, out: Console) -> None:
+    """Print the coefficients in `result`, the parsed JSON of `bench calibrate --json`, and what they mean.
+
+    `at_c` is the temperature at which they hold, °C; NaN if it is unknown.
+    """
     mark = "SIMULATED: " if result.get("simulated") else ""
-    where = message("at an unknown temperature") if at is None else message(f"at {at:.1f} °C")
+    where = message("at an unknown temperature") if math.isnan(at_c) else message(f"at {at_c:.1f} °C")
     out.print(
         f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
         f"+1 g on an upward axis), U in {result['unit']}, block {where}"
     )
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
-        digits = places(one["u"])
         unit = coefficient_unit(name, result["unit"])
-        shown.add_row(name, fixed(one["value"], digits), fixed(one["u"], digits), unit)
+        shown.add_row(name, rounded(one["value"], one["u"]), uncertainty(one["u"]), unit)
     out.print(shown)

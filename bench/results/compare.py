@@ -12,7 +12,7 @@ from rich.table import Table
 
 from bench.base.arrays import Floats
 from bench.base.languages import message, translated
-from bench.base.numbers import fixed, places, probability, quantity
+from bench.base.numbers import probability, quantity, rounded, uncertainty
 from bench.base.result_model import Real, ResultModel
 from bench.base.tables import print_notes, table
 from bench.calibration.conformity import COVERAGE_FACTOR
@@ -229,8 +229,7 @@ def _named(one: CalibrationOfBlock) -> str:
 def _changes_table(changes: Mapping[str, ChangePart]) -> Table:
     shown = table("number", ">difference", ">U (k=2)", ">En", ">p adjusted for several tests", "")
     for name, one in changes.items():
-        digits = places(2 * one.u)
-        sizes = (fixed(one.difference, digits, sign=True), fixed(2 * one.u, digits))
+        sizes = (rounded(one.difference, 2 * one.u, sign=True), uncertainty(2 * one.u))
         shown.add_row(
             name, *sizes, f"{one.en:.2f}", f"{one.p_all_looks:.2g}", "CHANGED" if one.changed else ""
         )
@@ -240,8 +239,7 @@ def _changes_table(changes: Mapping[str, ChangePart]) -> Table:
 def _drift_table(drift: LinesPart) -> Table:
     shown = table("number", ">per year", ">U (k=2)", ">p adjusted for several tests", "")
     for name, one in drift.per_year.items():
-        digits = places(2 * one.u)
-        sizes = (fixed(one.value, digits, sign=True), fixed(2 * one.u, digits))
+        sizes = (rounded(one.value, 2 * one.u, sign=True), uncertainty(2 * one.u))
         shown.add_row(name, *sizes, f"{one.p_all_looks:.2g}", "DRIFTS" if one.shown else "")
     return shown
 

@@ -11,10 +11,10 @@ from rich.console import Console
 
 from bench.base.arrays import u_of
 from bench.base.languages import message
-from bench.base.numbers import fixed, probability
+from bench.base.numbers import fixed, probability, rounded, two_digits, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
-from bench.calibration.intrinsic import INTRINSIC
+from bench.calibration.intrinsic import INTRINSIC, intrinsic_unit
 from bench.history.equivalence import Drift, LaboratoryJudged
 from bench.results.compare import draw_degrees
 from bench.results.parts import ValuePart, by_name, small_unit
@@ -113,7 +113,8 @@ def drift_words(drift: DriftPart, unit: str) -> str:
     where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"
     return (
         f"{'CHANGED' if drift.changed else 'unchanged'} {where}, by {drift.by}: {name} by "
-        f"{worst.value / size:+.2g} ± {worst.u / size:.2g} {small} (u), {probability(drift.p_all_looks)}"
+        f"{rounded(worst.value / size, worst.u / size, sign=True)} ± {uncertainty(worst.u / size)} {small} (u), "
+        f"{probability(drift.p_all_looks)}"
     )
 
 
@@ -142,7 +143,7 @@ def print_kit(result: KitResult, on: Console) -> None:
     for drift in result.drifts:
         on.print(drift_words(drift, result.unit))
     widened = [
-        f"{name} {dark / size:.2g} {unit}"
+        f"{name} {two_digits(dark / size)} {unit}"
         for name, dark in result.transport.items()
         for size, unit in [small_unit(name, dark, result.unit)]
         if dark > 0.0
@@ -181,6 +182,7 @@ def render_kit(result: KitResult) -> str:
 def _consensus(result: KitResult, name: str) -> Row:
     own = result.consensus[name]
     size, unit = small_unit(name, own.u, result.unit)
-    beyond = (own.u, result.dark[name], result.transport[name])
-    cells = (f"{own.value:.7g}", *(f"{u / size:.2g} {unit}" for u in beyond))
-    return Row(html_symbol(name), *cells)
+    of_value = intrinsic_unit(name, result.unit).replace("deg", "°")
+    beyond = (two_digits(dark[name] / size) for dark in (result.dark, result.transport))
+    cells = (f"{u} {unit}" for u in (uncertainty(own.u / size), *beyond))
+    return Row(html_symbol(name), f"{rounded(own.value, own.u)} {of_value}", *cells)

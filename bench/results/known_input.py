@@ -13,7 +13,7 @@ from rich.console import Console
 
 from bench.base.arrays import Floats, rms
 from bench.base.languages import message
-from bench.base.numbers import concise, quantity, scale_for, typeset
+from bench.base.numbers import concise, quantity, scale_for, typeset, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes
 from bench.base.text import LISTED_IN_SENTENCE
@@ -343,7 +343,9 @@ def calibrated_lines(found: RecordCalibration) -> Iterator[str]:
         told = []
         if one.gain is not None:
             told.append(
-                message(f"gain = {concise(one.gain.value, one.gain.u)} (U = {2e6 * one.gain.u:.2g} ppm)")
+                message(
+                    f"gain = {concise(one.gain.value, one.gain.u)} (U = {uncertainty(2e6 * one.gain.u)} ppm)"
+                )
             )
         if one.offset_v is not None:
             told.append(message(f"offset = {_micro(one.offset_v)} µV"))
@@ -356,7 +358,7 @@ def calibrated_lines(found: RecordCalibration) -> Iterator[str]:
 
 def _micro(of: Estimate) -> str:
     value, u = 1e6 * of.value, 1e6 * COVERAGE_FACTOR * of.u
-    return f"{concise(value, u).partition('(')[0]} ± {u:.2g}"
+    return f"{concise(value, u).partition('(')[0]} ± {uncertainty(u)}"
 
 
 def repeats_line(found: RecordCalibration) -> str:

@@ -214,7 +214,7 @@ def block_result(data: Any, where: str) -> BlockResult:
         gravity_u=_positive(data.get("gravity_u")),
         certificates=tuple(_certificates(data.get("corrections"))),
         temperature=_temperature(data),
-        temperature_c=_holds_at(data),
+        temperature_c=holds_at(data),
         signs=_signs(data),
         fits=taken.fits,
         effects=tuple(_left_out(data)),
@@ -251,7 +251,7 @@ def _of_bias_or_scale(data: Any) -> bool:
     return not set(TEMPERATURE_EFFECTS).isdisjoint(_temperature_effects(data))
 
 
-def _holds_at(data: Any) -> float:
+def holds_at(data: Any) -> float:
     """Return the temperature at which the coefficients hold, °C; NaN if it is unknown."""
     if "holds_at_c" in data:
         return _number_or(math.nan, data["holds_at_c"])

@@ -211,10 +211,12 @@ class Source:
 
 
 def load_sources(request: Request) -> list[Source]:
-    """Read all sources of a request. The first source that cannot be read raises its error."""
+    """Read all sources; number tables in memory of one name. The first unreadable source raises its error."""
     check_gravity(request.g_m_s2)
     check_places(request)
-    return [_load(given, request) for given in request.sources]
+    loaded = [_load(given, request) for given in request.sources]
+    twice = repeated(s.name for s in loaded)
+    return [replace(s, name=f"{s.name} {n}") if s.name in twice else s for n, s in enumerate(loaded, 1)]
 
 
 def check_places(request: Request) -> None:

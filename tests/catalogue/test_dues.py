@@ -8,6 +8,7 @@ import socket
 import subprocess
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from sqlalchemy import select, text
@@ -18,6 +19,8 @@ from bench.catalogue.store import open_catalogue
 from bench.catalogue.sync import sync
 from bench.catalogue.unit import compared_of, due_units, unit_history
 from bench.catalogue.values import coefficient_table, measured_of
+from bench.model.geometry import COEFFICIENTS
+from bench.results.catalogue import coefficient_rows
 from bench.services.errors import Refused
 from tests.support.laboratory import VECTOR, U, write_run
 
@@ -234,3 +237,9 @@ def test_gravity_counts_between_places_only(catalogue):
         measured.variance[:, 0] - of_each**2 - U**2 / 2, rel=1e-3
     )
     assert measured.place.tolist() == [9.80665, 9.80665, 9.83]
+
+
+def test_the_page_of_a_unit_rounds_expanded_uncertainties_as_its_certificate_does():
+    coefficients = {name: SimpleNamespace(value=0.0714348, u=5.2e-5) for name in COEFFICIENTS}
+    one = SimpleNamespace(coefficients=coefficients, unit="V")
+    assert {row[1:3] for row in coefficient_rows([one])} == {("0.07143", "0.00011")}

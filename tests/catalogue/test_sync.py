@@ -143,6 +143,22 @@ def test_a_moved_folder_is_the_same_run_and_one_that_is_gone_is_marked(catalogue
     assert not row_of(catalogue, "two")["vanished"]
 
 
+@pytest.mark.parametrize("together", [True, False])
+def test_a_whole_copy_counts_in_place_of_a_damaged_folder(catalogue, tmp_path, together):
+    one = write_run(tmp_path / "runs" / "one")
+    shutil.copytree(one, tmp_path / "copy")
+    events = one / "events.jsonl"
+    events.write_bytes(events.read_bytes().replace(b"step_done", b"step_dnoe"))
+    if not together:
+        sync(catalogue, [tmp_path / "runs"])
+    shutil.copytree(tmp_path / "copy", tmp_path / "runs" / "restored")
+    done = sync(catalogue, [tmp_path / "runs"])
+    row = row_of(catalogue, "restored")
+    assert (row["path"], row["problem"]) == (str(tmp_path / "runs" / "restored"), None)
+    assert str(tmp_path / "runs" / "restored") not in done.problems
+    assert sync(catalogue, [tmp_path / "runs"]).unchanged == 2
+
+
 def test_a_copy_is_told_and_counts_once(catalogue, tmp_path):
     one = write_run(tmp_path / "runs" / "one")
     shutil.copytree(one, tmp_path / "runs" / "two")

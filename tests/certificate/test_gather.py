@@ -3,6 +3,8 @@
 import json
 import re
 import shutil
+from dataclasses import replace
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,6 +17,8 @@ from bench.certificate.content import Issue, rule_said
 from bench.certificate.gather import certificate_of, missing
 from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
 from bench.certificate.verify import Findings, against_record
+from bench.config.devices.device import Certificate as Held
+from bench.model.geometry import COEFFICIENTS
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, RECORDED, copy_run, write_files
 
@@ -178,3 +182,46 @@ def test_no_certificate_is_of_a_readings_file_or_a_run_that_goes_on(folder):
     shutil.copytree(RECORDED.parent / "interrupted", folder / "runs" / "interrupted")
     with pytest.raises(Refused, match="the run is interrupted"):
         certificate_of("interrupted", folder / "runs")
+
+
+def test_the_results_as_found_are_of_another_run_of_that_kind_before_this_one(folder, files):
+    laboratory, order = files
+    adjusted = Adjusted(what="trimmed", as_found="finished")
+    unit = order.units[0].model_copy(update={"state": "as left", "adjusted": adjusted})
+    order = order.model_copy(update={"units": (unit,)})
+    both = certificate_of("finished", folder / "runs", laboratory, order)
+    earlier = {
+        "record": replace(both.found.record, run="before", head="0" * 64),
+        "begun": "2026-11-20T08:00:00+00:00", "ended": "2026-11-20T12:00:00+00:00",
+    }  # fmt: skip
+    for change, words in (
+        ({"record": both.found.record}, "'as_found', finished, is the calibrated run itself"),
+        ({"simulated": False}, "'as_found', before, is real, the calibrated one is not"),
+        ({"ended": "2026-11-30T12:00:00+00:00"}, "ended on 2026-11-30, after the calibration began on 2026-11-22"),
+        ({"begun": "2026-11-01T08:00:00+00:00"}, "2026-11-16 is after 2026-11-01"),
+        ({}, ""),
+    ):  # fmt: skip
+        lacking = missing(replace(both, as_found=replace(both.found, **earlier | change)))
+        assert [words in text for text in lacking] == [True] * bool(words)
+
+
+def test_instruments_of_the_run_as_found_need_certificates_too(certificate):
+    assert certificate.uncertified
+    valid = Held(number="C-1", laboratory="L", date=date(2026, 1, 1))
+    of_valid = tuple(replace(one, certificate=valid) for one in certificate.found.instruments)
+    held = replace(certificate, found=replace(certificate.found, instruments=of_valid))
+    assert held.uncertified == ()
+    assert replace(held, as_found=certificate.found).uncertified == certificate.uncertified
+
+
+def test_the_parts_of_u_are_all_there_is_of_it(certificate):
+    own = certificate.found.result.calibration
+    told = certificate.found.contributions
+    assert [one.name for one in told] == [
+        "readings and stand",
+        *(s.name for s in own.sources if s.covariance.any()),
+    ]
+    assert np.allclose(own.covariance_readings + sum(s.covariance for s in own.sources), own.covariance)
+    readings = told[0]
+    place = COEFFICIENTS.index(readings.most_in)
+    assert readings.u == pytest.approx(np.sqrt(own.covariance_readings[place, place]))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import bench
 from bench.certificate.interlaboratory import kit_evaluate, kit_seal, load_kit, plan_kit
 from bench.history.comparison import Snapshot
 from bench.history.equivalence import against_others
@@ -80,6 +81,9 @@ def test_from_the_plan_to_the_report(bench, planned, wrong):
     page = Path("report/kit.html").read_text(encoding="utf-8")
     assert "<svg" in page
     assert not any(name in page for name in NAMES)
+    assert "e+0" not in page
+    value, u = found["consensus"]["Sx"].values()
+    assert f"<td>{value:.7f} V/g</td><td>{1e6 * u:.1f} µV/g</td>" in page
 
 
 def test_a_result_opens_only_when_all_are_sealed_and_is_the_one_that_was_sealed(bench, planned):
@@ -215,3 +219,45 @@ def test_the_campaign_in_short_keeps_its_promises(capsys):
     """Seed 1, 3 rounds of `python -m benchmarks.interlaboratory_campaign`."""
     assert interlaboratory_campaign.main(["--runs", "3", "--workers", "1"]) == 0
     assert "the wrong one found: 1.000" in capsys.readouterr().out
+
+
+def test_a_result_that_was_given_twice_or_is_of_several_is_refused(planned):
+    """A pilot that repeats its first result would prove that the block did not change."""
+    results = measured(planned, None, 0.0)
+    first, last = (results[at].partition("=")[2] for at in (0, -1))
+    data = json.loads(Path(first).read_text(encoding="utf-8"))
+    Path(last).write_text(json.dumps(data, indent=1), encoding="utf-8")
+    kit_seal("kit.yaml", results)
+    codes = [planned.stops[at].code for at in (0, -1)]
+    with pytest.raises(Refused, match=f"{codes[0]}, {codes[1]}: the results are the same to the last digit"):
+        kit_evaluate("kit.yaml", results)
+    with pytest.raises(Refused, match=f"{codes[1]}: no result is given; add {codes[1]}=FILE"):
+        kit_evaluate("kit.yaml", results[:-1])
+    Path("kit.yaml").unlink()
+    bench.kit_plan("kit.yaml", laboratory=NAMES, seed=3)
+    Path(last).write_text(json.dumps([data, data]), encoding="utf-8")
+    kit_seal("kit.yaml", results)
+    with pytest.raises(Refused, match="has 2 results; give a file with one"):
+        kit_evaluate("kit.yaml", results)
+
+
+def test_notes_name_results_of_another_block_and_those_not_accepted(planned):
+    rng = np.random.default_rng(12)
+    more = {"unit_under_test": {"type": "block", "serial": "17"}}
+    of = [
+        more, more | {"fits": False},
+        *[{"unit_under_test": {"type": "block", "serial": "18"}}] * (len(planned.stops) - 2),
+    ]  # fmt: skip
+    results = [
+        f"{s.code}={result(rng, f'{s.code}.json', **one)}" for s, one in zip(planned.stops, of, strict=True)
+    ]
+    kit_seal("kit.yaml", results)
+    first, *own = kit_evaluate("kit.yaml", results).notes
+    codes = [stop.code for stop in planned.stops]
+    assert first.startswith(f"the results name several blocks (block 17: {codes[0]}, {codes[1]}; block 18: ")
+    assert f"{codes[1]}: not accepted by its laboratory: the readings contradict the model" in own
+
+
+def test_codes_cannot_be_drawn_again_without_a_seed(empty_folder):
+    plans = [bench.kit_plan(f"{n}.yaml", laboratory=NAMES) for n in range(2)]
+    assert plans[0].stops != plans[1].stops

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -100,6 +101,8 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert said == hashlib.sha256(first).hexdigest()
     refused(bench(*amend, *desk), "it was amended by SIM-2026-0002")
     revoke = ("certificate", "revoke", "SIM-2026-0002", "--reason", "wrong unit", *desk[:2], *BY)
+    refused(bench(*revoke[:4], " ", *revoke[5:]), "--reason: no text; state the reason")
+    refused(bench(*amend[:5], "", *desk), "--reason: no text; state the reason")
     assert bench(*revoke)[0] == 0
     refused(bench(*revoke), "it was revoked: wrong unit")
     _, out, _ = bench("certificate", "register", *desk[:2])
@@ -107,9 +110,14 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert "amended (SIM-2026-0002)" in out
     assert "revoked (wrong unit)" in out
     assert bench("certificate", "finished", *desk)[1].startswith("finished: issued as SIM-2026-0003")
+    # it names the revoked one, which stays revoked
+    again = etree.parse("register/SIM-2026-0003.xml").find(".//dcc:coreData", NAMESPACES)
+    assert again.findtext("dcc:previousReport/dcc:referralID", namespaces=NAMESPACES) == "SIM-2026-0002"
+    assert "revoked (wrong unit)" in bench("certificate", "register", *desk[:2])[1]
     third = ("certificate", "amend", "SIM-2026-0003", *other[3:], "--replace")
     printed(bench(*third, *desk), "SIM-2026-0004")
     assert "replaced (SIM-2026-0004)" in bench("certificate", "register", *desk[:2])[1]
+    refused(bench("certificate", "finished", *desk), "SIM-2026-0003 was replaced by SIM-2026-0004; 'bench")
 
 
 @pytest.mark.slow
@@ -199,3 +207,12 @@ def test_coefficients_are_read_out_of_the_pdf_as_out_of_the_xml(bench, desk):
     assert bench("compare", "pdf.json", "finished")[0] == 0
     Path("empty.pdf").write_bytes(b"%PDF-1.7 nothing")
     refused(bench("certificate", "read", "empty.pdf", "--out", "c.json"), "a PDF that cannot be read")
+
+
+@pytest.mark.slow
+def test_no_certificate_is_dated_before_the_last_one(bench, desk, monkeypatch):
+    """The first one has the true date, which is later than the recorded run's."""
+    assert bench("certificate", "finished", *desk)[0] == 0
+    monkeypatch.setattr("bench.certificate.life.utc_now", lambda: datetime(2026, 11, 23, tzinfo=UTC))
+    amend = ("certificate", "amend", "SIM-2026-0001", "finished", "--reason", "a name")
+    refused(bench(*amend, *desk), "this computer's clock shows 2026-11-23, but SIM-2026-0001 was issued on")

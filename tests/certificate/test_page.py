@@ -5,14 +5,17 @@ import re
 import shutil
 import subprocess
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pikepdf
 import pytest
+from matplotlib.image import imread
 
 from bench.certificate.content import Before, Issue, Item
 from bench.certificate.gather import certificate_of
 from bench.certificate.laboratory import Person, load_laboratory, load_order, texts_of
-from bench.certificate.page import body_of, faults_of
+from bench.certificate.page import body_of, data_of, faults_of, pictures_of
+from bench.certificate.proof import Writer, value_cells, verdict_of
 from bench.certificate.signatures import check_pdf, sign_pdf
 from bench.services.errors import Refused
 from tests.support.certificates import ORDER, copy_run, write_files
@@ -289,3 +292,43 @@ def test_what_is_no_such_file_is_told(body):
     assert any("encrypted" in fault for fault in faults_of(locked.getvalue()))
     assert re.search("does not begin", faults_of(b"")[0])
     assert "cannot be read" in faults_of(body[:1000])[0]
+
+
+def test_a_long_word_stays_on_its_page(certificate):
+    word = "W" * 150
+    laboratory = certificate.laboratory.model_copy(update={"place": word, "environment": word})
+    meter = replace(certificate.found.instruments[0], identity=word)
+    found = replace(certificate.found, instruments=(meter, *certificate.found.instruments[1:]))
+    for page in pictures_of(replace(certificate, laboratory=laboratory, found=found), DCC, 40.0)[:3]:
+        picture = imread(io.BytesIO(page))
+        assert picture[:, -int(picture.shape[1] * 16 / 210) :, :3].min() == 1.0  # the margin is 18 mm
+
+
+def test_the_first_page_says_that_the_readings_contradict_the_model(certificate):
+    unjudged = replace(certificate.found, verdict=None)
+    own = SimpleNamespace(**{**vars(unjudged.result), "accepted": False})
+    for found, key in ((unjudged, "no_conformity"), (replace(unjudged, result=own), "does not fit")):
+        (block,) = verdict_of(found, Writer(certificate))
+        assert block["words"] == [certificate.texts[0].say(key)]
+
+
+def test_attached_files_are_described_in_each_language(certificate):
+    both = replace(certificate, texts=(texts_of("uk"), texts_of("en")))
+    (rows,) = (
+        block["rows"]
+        for block in data_of(both, DCC)["proof"]
+        if str(block).count("seal.json") and "rows" in block
+    )
+    assert rows[1][1] == ["результат", "the result"]
+
+
+def test_each_expanded_uncertainty_has_its_own_factor(certificate):
+    """The laboratory chose k of the coefficients; Δg has k = 2."""
+    own = certificate.found.coefficients
+    values = replace(own, values=tuple(replace(value, k=1.645) for value in own.values))
+    assert value_cells(values["Kxx"])[3] == "1.645"
+    told = data_of(replace(certificate, found=replace(certificate.found, coefficients=values)), DCC)
+    assert "k = 1.645" in str(told["front"])
+    (stated,) = (lines for block in told["front"] if block["kind"] == "pairs" for _, lines in block["rows"]
+                 if "max |Δg|" in str(lines))  # fmt: skip
+    assert stated[0].endswith("µg (k = 2)")

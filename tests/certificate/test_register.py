@@ -30,7 +30,7 @@ from bench.config.shipped import CERTIFICATE, shipped_folder
 from bench.services import chain
 from bench.services.chain import LINES, Entry, opened
 from bench.services.errors import Refused
-from tests.support.certificates import write_files
+from tests.support.certificates import ORDER, write_files
 
 
 def entry(number, **data):
@@ -381,3 +381,24 @@ def test_a_laboratory_may_have_words_of_its_own(tmp_path):
     english, german = texts_for(laboratory)
     assert (english.say("title"), german.say("title")) == ("Calibration certificate", "Prüfschein")
     assert Path(laboratory.register_).name == "register"
+
+
+def test_a_laboratory_replaces_no_text_that_limits_a_certificate_and_keeps_the_blanks(tmp_path):
+    own = {
+        "fail": "pass", "simulated": "real", "unsigned": "signed", "conformity_text": "pass", "title": "{nme}",
+        "page": "{page}/{pages}",
+    }  # fmt: skip
+    laboratory, _ = write_files(tmp_path, {"texts": {"en": own}})
+    with pytest.raises(FileMistakes) as error:
+        load_laboratory(laboratory)
+    told = str(error.value)
+    assert [told.count(f"texts.en.{key}: ") for key in own] == [1, 1, 1, 1, 1, 0]
+    assert told.count("no laboratory may replace this text; remove it") == 3
+    assert "expected the blanks {limit}, {points}, {statement}; keep the names in braces" in told
+
+
+def test_spaces_alone_are_no_text_of_an_order(tmp_path):
+    unit = {**ORDER["units"][0], "condition": " "}
+    with pytest.raises(FileMistakes) as error:
+        load_order(write_files(tmp_path, order={"units": [unit], "number": "  "})[1])
+    assert str(error.value).count("expected a text that is not empty") == 2

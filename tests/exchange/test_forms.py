@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -331,6 +332,9 @@ def test_every_form_names_a_misfit_and_the_effects_that_it_leaves_out(form):
 def test_every_form_says_that_u_holds_up_to_1_g(form):
     """At 10 g the covariance gives 0.4 mg, where K3 = 20 µg/g³ alone is 20 mg."""
     result = BlockResult(Block(K, U0), COVARIANCE, "V", G, "r", nonlinearity=("30 ug/g^2", "20 ug/g^3"))
+    sizes = {"K2": {"u": 3e-5, "unit": "g/g^2"}, "K3": {"u": 2e-5, "unit": "g/g^3"}}
+    assert result.to_dict()["nonlinearity"] == sizes
+    assert replace(result, nonlinearity=("", "unknown")).to_dict()["nonlinearity"] == {}
     for of, terms in ((result, "30 ug/g^2 a^2 and 20 ug/g^3 a^3"), (RESULT, "K2 a^2 and K3 a^3")):
         said = " ".join(re.sub(r"[*#]", " ", seen(form, of)).split())
         assert f"up to 1 g; above, add the block's nonlinearity, {terms} of each axis" in said

@@ -93,6 +93,20 @@ def test_a_frame_with_a_column_twice_is_refused_and_a_missing_value_of_pandas_is
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+def test_a_table_that_contradicts_others_in_memory_is_left_out_alone(empty_folder):
+    import pandas as pd
+
+    frames = []
+    for seed in range(4):
+        write_csv(paper_run(np.random.default_rng(seed)), Path("r.csv"))
+        frames.append(pd.read_csv("r.csv"))
+    frames[2]["ux_v"] += 3e-3 * np.random.default_rng(5).normal(size=len(frames[2]))
+    found = program.learn(frames, bench="paper-stand").learned
+    assert found.runs == ("DataFrame 1", "DataFrame 2", "DataFrame 4")
+    assert {one.run for one in found.contradicting} == {"DataFrame 3"}
+
+
 def test_a_verification_is_that_of_the_command(bench, readings):
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
     _, out, _ = bench("verify", "r.csv", "--rule", "guarded", "--limit", "2e-4", "--json", "-")

@@ -28,7 +28,6 @@ from bench.certificate.content import (
     Values,
     rule_said,
     stated,
-    uncertified,
 )
 from bench.certificate.dcc.nodes import (
     CELSIUS,
@@ -85,7 +84,7 @@ def document_of(certificate: Certificate) -> bytes:
             node(
                 "dcc:calibrationLaboratory",
                 None
-                if laboratory.accreditation is None
+                if laboratory.accreditation is None or certificate.simulated
                 else node("dcc:calibrationLaboratoryCode", laboratory.accreditation.number),
                 contact("dcc:contact", laboratory),
             ),
@@ -221,7 +220,7 @@ def _statements(certificate: Certificate, order: Order, unit: UnitOrder, issue: 
     for head, told in certificate.origins.items():
         for key, blanks in told:
             yield _statement(head, *said(texts, key, **blanks), name=said(texts, head))
-    traceable = not uncertified(certificate.found) and not certificate.simulated
+    traceable = not certificate.uncertified and not certificate.simulated
     reason = order.without_certificates
     yield node(
         "dcc:statement",

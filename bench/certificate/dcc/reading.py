@@ -317,6 +317,7 @@ def _others(
             )
         covariance = np.diag(listed.u**2)
         notes += ("it states no covariance; its coefficients are assumed uncorrelated, which is seldom true",)
+    notes += ("it states no K2 and K3 of the block: above 1 g, u of an acceleration lacks them",)
     covariance = covariance[np.ix_(order, order)] * np.outer(scale, scale)
     result = _result(root, values, covariance, g_m_s2, noise_v)
     coefficients_of(result, str(path))

@@ -237,7 +237,11 @@ class PlanKit:
     _: KW_ONLY
     laboratory: Annotated[Sequence[str], Option("Laboratory, the pilot first (repeatable).", metavar="NAME")]
     block: str = option("block", "Type and serial number of the block.", metavar="TEXT")
-    seed: int = option(1, "Seed of the random order and blind codes.", least=0)
+    seed: int | None = option(
+        None,
+        "Seed of the random order and blind codes; keep it secret (default: none).",
+        least=0,
+    )
 
 
 @dataclass(frozen=True)

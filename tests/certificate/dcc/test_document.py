@@ -12,11 +12,12 @@ from scipy import stats
 from bench.calibration.budget.whole import dof_through
 from bench.calibration.intrinsic import joint_factor
 from bench.certificate import proof
-from bench.certificate.content import Before, uncertified
+from bench.certificate.content import Before
 from bench.certificate.dcc.document import document_of
 from bench.certificate.dcc.nodes import NAMESPACES
 from bench.certificate.dcc.rules import broken_rules
 from bench.certificate.gather import missing
+from bench.certificate.laboratory import Accreditation
 from bench.certificate.proof import Writer
 from bench.config.devices.device import Certificate as Held
 from bench.services.calibration import verification_of
@@ -247,8 +248,17 @@ def test_a_real_run_on_an_expired_or_a_later_certificate_is_not_called_traceable
 
 
 def test_an_instrument_without_a_certificate_has_none(root, issued_certificate):
-    assert len(uncertified(issued_certificate.found)) == 4
+    assert len(issued_certificate.uncertified) == 4
     assert root.find(".//dcc:measuringEquipment/dcc:certificate", NAMESPACES) is None
+
+
+def test_a_simulated_certificate_names_no_accreditation(issued_certificate):
+    body = Accreditation(body="A body", number="0000-01")
+    laboratory = issued_certificate.laboratory.model_copy(update={"accreditation": body})
+    for simulated in (True, False):
+        found = replace(issued_certificate.found, simulated=simulated)
+        document = document_of(replace(issued_certificate, laboratory=laboratory, found=found))
+        assert (b"0000-01" in document) is not simulated
 
 
 def test_an_amendment_names_the_one_before(issued_certificate):

@@ -117,6 +117,9 @@ def test_coefficients_of_anothers_list_are_taken_by_their_names(bench, empty_fol
     assert (status, "assumed uncorrelated" in err) == (0, True)
     assert ("taken as per local g of its laboratory, 9.81 m/s²" in err) == (scale == 1.0)
     assert "local g (9.81 m/s², +1 g on an upward axis), U in V, block at an unknown temperature" in out
+    assert any(
+        "no K2 and K3" in note for note in json.loads(Path("c.json").read_text(encoding="utf-8"))["notes"]
+    )
     taken = coefficients_of(json.loads(Path("c.json").read_text()), "it")
     scales = np.array([scale] * 9 + [1.0] * 3)
     assert np.allclose(taken.block.vector, np.array(VALUES) * scales, rtol=1e-14)
