@@ -105,7 +105,7 @@ _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_]
 _WORDS: Final = re.compile(r"[^\W\d_]+")
 _UNITS: Final = frozenset({
     *"VgmshdAKCWkpuUnerσχxyz", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz",
-    "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
+    "ppm", "kB", "MB", "GB", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
 })  # fmt: skip
 
 
