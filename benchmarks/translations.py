@@ -59,7 +59,9 @@ MARKS: Final = {
     "ValueError": slice(0, 1),
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
-    **dict.fromkeys(("Key", "Figure", "confirm", "tell", "Skipped", "SessionEnded"), slice(0, 1)),
+    **dict.fromkeys(
+        ("Key", "Figure", "confirm", "tell", "Skipped", "SessionEnded", "NotIntact"), slice(0, 1)
+    ),
     "Part": slice(0, 2),
     "Finding": slice(4),
 }
