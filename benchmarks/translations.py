@@ -59,10 +59,20 @@ MARKS: Final = {
     "ValueError": slice(0, 1),
     **dict.fromkeys(("Refusal", "BadCell"), slice(1, 2)),
     **dict.fromkeys(FAULTS.split(), slice(1, 3)),
+    **dict.fromkeys(
+        ("Key", "Figure", "confirm", "tell", "Skipped", "SessionEnded", "NotIntact"), slice(0, 1)
+    ),
+    "Part": slice(0, 2),
+    "Finding": slice(4),
 }
 """The calls that mark texts for translation, with the places of these texts among their arguments."""
 IN_FILES: Final = (ROOT / "bench" / "config", ROOT / "bench" / "base" / "units.py")
 """The modules in which the text of a `ValueError` is on a file that people write."""
+FINDINGS: Final = ROOT / "bench" / "run" / "commission"
+NAMED: Final = ("said", "remedy", "expected", "of")
+"""The keyword arguments of these calls, and in `FINDINGS` also the local names, that are texts."""
+OF_FINDINGS: Final = ("Finding", "Figure", "Part")
+"""The calls whose single words are headings, because elsewhere they may be keys or names."""
 OF_HEADINGS: Final = ("table", "tracked")
 """The calls whose texts are headings of tables and of progress."""
 SHIPPED: Final = (ROOT / "procedures", ROOT / "config")
@@ -129,20 +139,25 @@ def _in_module(tree: ast.AST, file: Path) -> Iterator[Entry]:
         if isinstance(node, ast.Assign) and file.parent == EFFECTS:
             if {"sentence", "shown_by"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
                 yield from _wordings(node.value)
+        elif isinstance(node, ast.Assign) and file.parent == FINDINGS:
+            if {*NAMED, "held"} & {one.id for one in node.targets if isinstance(one, ast.Name)}:
+                yield from (one for one in _wordings(node.value, given=False) if one.english)
         elif isinstance(node, ast.Call) and (name := _called(node.func)) in MARKS:
             if name == "ValueError" and not any(file.is_relative_to(one) for one in IN_FILES):
                 continue
             context = node.args[1:2] if name == "message" else []
             told = str(ast.literal_eval(context[0])) if context else ""
             try:
-                for text in node.args[MARKS[name]]:
+                named = (one.value for one in node.keywords if one.arg in NAMED)
+                for text in (*node.args[MARKS[name]], *named):
                     for one in _wordings(text, given=name == "message"):
                         if name in OF_HEADINGS and LETTER.search(_BLANKS.sub("", one.english)):
                             yield Entry(
                                 one.english.removeprefix(">"), "", HEADING
                             )  # ">": aligned to the right
                         elif name not in OF_HEADINGS and one.english:
-                            yield Entry(one.english, one.plural, told)
+                            alone = name in OF_FINDINGS and " " not in one.english
+                            yield Entry(one.english, one.plural, HEADING if alone else told)
             except ValueError as error:
                 raise ValueError(f"{file.relative_to(ROOT)}, line {node.lineno}: {error}") from error
 
@@ -152,7 +167,7 @@ def _called(function: ast.expr) -> str:
     match function:
         case ast.Name(name) if name != "print":
             return name
-        case ast.Attribute(ast.Name("out" | "on" | "printing"), name):
+        case ast.Attribute(ast.Name("out" | "on" | "printing" | "evening"), name):
             return name
         case ast.Attribute(ast.Call(ast.Attribute(ast.Name("printing"), "console")), name):
             return name

@@ -105,7 +105,7 @@ _DECIMAL: Final = re.compile(r"(?<![\w.])(\d+)\.(\d+)(?!\.?\d)(?![a-df-zA-DF-Z_]
 _WORDS: Final = re.compile(r"[^\W\d_²³]+")
 _UNITS: Final = frozenset({
     *"VgmshdAKCWkpuUnerσχxyz", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz",
-    "ppm", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
+    "ppm", "kB", "MB", "GB", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
 })  # fmt: skip
 
 
@@ -134,6 +134,7 @@ _TYPED: Final = re.compile(
     r"'bench [^']*'|: bench .*|'\{\d+\}'|(?:choose from|known:|known are|kept in|columns?) \{\d+\}"
     r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
     r"|(?:shipped|latest|latest runs) are: .*|^\{0\}: assumed from plausible"
+    r"|^[✓✗] \{0\}(?= is )"
     r"|^\{0\}(?=: \{1\}: (?:worst|\{2\}; correct it))|(?:bench file|^Tumble|^Calibration) of \{0\}"
 )
 """The parts of an entry whose blanks hold what is typed or quoted (command, path, key, run): their values stay."""
@@ -273,7 +274,7 @@ class Catalogue:
         if not colon or " " in name:
             return None
         told = self._exactly(rest) or self._filled(rest) or self._fault(rest)
-        return None if told is None else f"{self.translate(name)}: {told}"
+        return None if told is None else f"{self._instrument(name)}: {told}"
 
     def _part(self, text: str) -> str:
         if is_numeric(text):
@@ -282,7 +283,12 @@ class Catalogue:
             return told
         name, colon, rest = text.partition(": ")  # an instrument and its fault
         told = self._part(rest) if colon and " " not in name else rest
-        return text if told == rest else f"{self.translate(name)}: {told}"
+        return text if told == rest else f"{self._instrument(name)}: {told}"
+
+    def _instrument(self, name: str) -> str:
+        """Return the translation of a name before a colon if the program gave it; the name of a run stays."""
+        entry = self._exact.get(("", name))
+        return name if entry is None or "names-shown" not in entry.files else self.fill(entry, {})
 
     def _settled(self, text: str) -> bool:
         """Return whether a part of a text has a translation or needs none (a single word, numbers)."""

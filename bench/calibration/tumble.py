@@ -231,15 +231,14 @@ class Separable:
 
     def sentence(self) -> str:
         """Return a sentence on the number of determined terms, and on the terms that cannot be separated."""
-        counted = message(f"channel {self.channel}: {self.rank} of {len(self.asked)} terms are determined")
-        told = []
+        told = [message(f"{self.rank} of {len(self.asked)} terms are determined")]
         for term, parts in self.inseparable.items():
             if not parts:
                 told.append(message(f"{term} shows in no reading"))
             else:
                 shares = " and ".join(f"{share:+.3g} {name}" for name, share in parts.items())
                 told.append(message(f"{term} cannot be separated: 1 of it looks like {shares}"))
-        return "; ".join([counted, *told])
+        return message(f"channel {self.channel}: {'; '.join(told)}")
 
 
 def separable(force: Floats, channel: int, terms: Sequence[str], conditions: Conditions) -> Separable:

@@ -16,6 +16,7 @@ from sqlalchemy import delete, insert, select
 
 from bench.base.arrays import u_of
 from bench.base.computing import tracked
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.calibration.conformity import COVERAGE_FACTOR
 from bench.calibration.result import CalibrationError
@@ -265,19 +266,19 @@ def compared_of(catalogue: Catalogue, name: str) -> tuple[CoefficientTable, bool
     All scale factors refer to the local g of the last calibration.
     """
     kept = coefficient_table(catalogue, [f"unit={name}"])
-    notes = [f"without {words}" for words in kept.left_out]
+    notes = [message(f"without {words}") for words in kept.left_out]
     dated = ~np.isnat(kept.when)
     if not np.all(dated):
-        notes.append(f"without {np.sum(~dated)} calibrations that have no date")
+        notes.append(message(f"without {np.sum(~dated)} calibrations that have no date"))
     kept = kept.of(dated)
     simulated = bool(len(kept)) and bool(np.all(kept.simulated))
     if not simulated and np.any(kept.simulated):
-        notes.append(f"without {np.sum(kept.simulated)} calibrations of simulated runs")
+        notes.append(message(f"without {np.sum(kept.simulated)} calibrations of simulated runs"))
         kept = kept.of(~kept.simulated)
     if len(kept):
         same = np.array([one == kept.signal_unit[-1] for one in kept.signal_unit], dtype=np.bool_)
         if not np.all(same):
-            notes.append(f"without {np.sum(~same)} calibrations of signals in another unit")
+            notes.append(message(f"without {np.sum(~same)} calibrations of signals in another unit"))
             kept = kept.of(same)
         kept = kept.per(float(kept.g_m_s2[-1]), float(kept.gravity_u[-1]))
     return kept, simulated, notes

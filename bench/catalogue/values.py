@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from sqlalchemy import and_, func, select
 
 from bench.base.arrays import Floats, Mask
+from bench.base.languages import message
 from bench.calibration.result import CalibrationError
 from bench.catalogue.questions import condition_of
 from bench.catalogue.store import CALIBRATIONS, RUNS, Catalogue
@@ -149,14 +150,14 @@ def _left_out(connection: Any, asked: Any) -> list[str]:
     bare = and_(~gone, RUNS.c.record != "broken", CALIBRATIONS.c.run.is_(None))
     sentences = []
     for condition, why in (
-        (gone, "of folders that are gone"),
-        (broken, "whose record is broken"),
-        (other, "whose calibration is older than the record; run 'bench calibrate'"),
-        (bare, "without a calibration"),
+        (gone, message("of folders that are gone")),
+        (broken, message("whose record is broken")),
+        (other, message("whose calibration is older than the record; run 'bench calibrate'")),
+        (bare, message("without a calibration")),
     ):
         counted = select(func.count()).select_from(joined).where(asked, condition)
         if count := connection.execute(counted).scalar():
-            sentences.append(f"{count} run{'s' * (count > 1)} {why}")
+            sentences.append(message(f"{count} run{'' if count == 1 else 's'} {why}"))
     return sentences
 
 
@@ -208,7 +209,7 @@ def measured_of(table: CoefficientTable) -> tuple[ComparedCalibrations, Mask, tu
             "some results do not state the part of u that their meters share; it counts as independent"
         )
     if simulated.all():
-        notes.append("all of these were found on simulated instruments")
+        notes.append(message("all of these were found on simulated instruments"))
     measured = ComparedCalibrations(
         unit=np.array(kept.unit, dtype=str),
         kind=np.array([kind or "" for kind in kept.unit_type], dtype=str),

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from bench.base.files import read_given, read_regular
+from bench.base.languages import message
 from bench.calibration import CalibrationError
 from bench.calibration.conformity import SIMPLE, DecisionRule
 from bench.certificate.content import RunFindings
@@ -48,17 +49,19 @@ if TYPE_CHECKING:
     from cryptography.x509 import Certificate
 
 NOT_PROVED: Final = (
-    "when it was signed: only the signer states the time; no authority stamped it",
-    "that the signer's certificate had not been withdrawn: no list of withdrawn ones was checked",
+    message("when it was signed: only the signer states the time; no authority stamped it"),
+    message("that the signer's certificate had not been withdrawn: no list of withdrawn ones was checked"),
 )
-NOT_MEASURED: Final = "that what was measured is true"
-PAGES_NOT_READ: Final = "that the pages print what the data say: only the data were compared"
-RECORD_NOT_HERE: Final = "that the record gives these results: the record is missing here"
-REGISTER_NOT_HERE: Final = "that it still holds: the register of amended and revoked ones is missing here"
-UNSIGNED: Final = (
+NOT_MEASURED: Final = message("that what was measured is true")
+PAGES_NOT_READ: Final = message("that the pages print what the data say: only the data were compared")
+RECORD_NOT_HERE: Final = message("that the record gives these results: the record is missing here")
+REGISTER_NOT_HERE: Final = message(
+    "that it still holds: the register of amended and revoked ones is missing here"
+)
+UNSIGNED: Final = message(
     "who made it and that it is unchanged: it is unsigned; --laboratory FILE checks the register"
 )
-UNKNOWN: Final = (
+UNKNOWN: Final = message(
     "who signed: anybody can write the name in its certificate; --trust FILE checks the laboratory's own, "
     "obtained from the laboratory"
 )
@@ -116,12 +119,12 @@ def verify_certificate(
     content = _content(file)
     found = Findings()
     shown = standing = None
-    failure = "CHANGED"
+    failure = message("CHANGED")
     try:
         shown = _verify_forms(found, file, content)
     except NotIntact as error:
         found.wrong.append(f"{error}; {ORIGINAL}")
-        failure = "NO CERTIFICATE" if isinstance(error, NoCertificate) else failure
+        failure = message("NO CERTIFICATE") if isinstance(error, NoCertificate) else failure
     if shown is not None:
         standing = against_register(found, shown.says.number, file, content, register)
         if not found.wrong:
@@ -154,11 +157,11 @@ def verify_certificate(
 def _headline(unsigned: bool, distrust: str | None, signer: str, standing: RegisterSays | None) -> str:
     if unsigned:
         issued = standing is not None and standing.vouches
-        words = "not signed" + (", unchanged since it was issued" if issued else "")
+        words = message("not signed, unchanged since it was issued") if issued else message("not signed")
     elif distrust is None:
-        words = "intact, signer unknown"
+        words = message("intact, signer unknown")
     else:
-        words = "intact, signer not trusted" if distrust else f"intact, signed by {signer}"
+        words = message("intact, signer not trusted" if distrust else f"intact, signed by {signer}")
     return words if standing is None else words + standing.words
 
 
@@ -206,9 +209,11 @@ def _verify_xml(found: Findings, document: bytes) -> tuple[ShownValues, SignedXm
             else "it claims to be unsigned but has a signature"
         )
     _agree_on_numbers(shown)
-    found.agreed.append("the coefficients of the digital certificate are those of its result")
+    found.agreed.append(message("the coefficients of the digital certificate are those of its result"))
     if signed is not None and signed.comments:
-        found.not_signed.append(f"{signed.comments} comments in the XML, which are unsigned and not shown")
+        found.not_signed.append(
+            message(f"{signed.comments} comments in the XML, which are unsigned and not shown")
+        )
     return shown, signed
 
 
@@ -253,7 +258,7 @@ def _verify_pdf(found: Findings, file: bytes) -> tuple[ShownValues, dict[str, by
         if attached.get(name) != content:
             raise NotIntact(f"the {name} in the XML differs from the one in the PDF")
     common = "number, result and seal" if found.unsigned else "signer, number, result and seal"
-    found.agreed.append(f"PDF and XML have {common} in common")
+    found.agreed.append(message(f"PDF and XML have {common} in common"))
     found.not_proved.append(PAGES_NOT_READ)
     return shown, attached
 
@@ -277,7 +282,7 @@ def _same_xml(found: Findings, attached: bytes, document: bytes, name: str) -> N
     signers = {None if signed is None else fingerprint_of(signed.chain[0]) for signed, _ in forms}
     if len({content for _, content in forms}) > 1 or len(signers) > 1:
         raise NotIntact(f"{name} beside it differs from the one in it")
-    found.agreed.append(f"{name} beside it has the same content")
+    found.agreed.append(message(f"{name} beside it has the same content"))
 
 
 def _attached(file: bytes) -> tuple[dict[str, bytes], str]:
@@ -352,7 +357,7 @@ def against_record(found: Findings, shown: ShownValues, runs: Path) -> None:
         return
     told = f"the record in {folder} is unchanged"
     if again.result_json.encode() == shown.files["result.json"]:
-        found.agreed.append(f"{told} and gives the same result to the last digit")
+        found.agreed.append(message(f"{told} and gives the same result to the last digit"))
     elif _as_good_as(again, shown):
         found.agreed.append(
             f"{told} and gives the same result within {_SAME:g} u, within rounding of another computer"
@@ -436,7 +441,7 @@ def against_register(
         return standing
     name = f"{number}.{'xml' if content.lstrip()[:1] == b'<' else 'pdf'}"
     if known.entry.files.get(name) == hashlib.sha256(content).hexdigest():
-        found.agreed.append(f"the register in {place} has the SHA-256 of this file for {name}")
+        found.agreed.append(message(f"the register in {place} has the SHA-256 of this file for {name}"))
     else:
         found.wrong.append(
             f"the register has another SHA-256 for {name}: this is not the issued file; ask for that file"

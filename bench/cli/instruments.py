@@ -18,6 +18,7 @@ from types import FrameType
 from typing import TYPE_CHECKING, Final
 
 from bench.base.files import read_regular
+from bench.base.languages import message, translated
 from bench.cli import printing
 from bench.cli.options import JsonOption, command
 from bench.services.errors import Refused, refusing
@@ -102,7 +103,7 @@ def _offers(target: str | None) -> int:
     for resource in offer.resources:
         table.add_row(resource, "")
     for port in offer.serial_ports:
-        table.add_row(port.resource, f"serial port {port.device} {port.description}".rstrip())
+        table.add_row(port.resource, message(f"serial port {port.device} {port.description}").rstrip())
     out.print(table if table.row_count else "nothing was found: check power, cables and addresses")
     printing.notes_on(out, offer.notes)
     return 0
@@ -132,8 +133,10 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     folder = request.out or free_folder("commissioning")
     printing.in_words(
         console,
-        f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "
-        "type :skip REASON at a question to leave out a check, :abort to end; Ctrl-C makes the bench safe",
+        message(
+            f"commissioning of {file.name} ({path}), {'SIMULATED' if request.dry_run else 'on the bench'}; "
+            "type :skip REASON at a question to leave out a check, :abort to end; Ctrl-C makes the bench safe"
+        ),
     )
     person = None if request.dry_run else TerminalPerson(sys.stdin, console, wishes=WISHES)
 
@@ -143,7 +146,7 @@ def _commission(request: InstrumentsRequest, target: str | None) -> int:
     result = commission(CommissioningPlan(file, path, folder, person, request.seed, tell))
     printing.write_json([result], target)
     for name, what in result["to_do"].items():
-        printing.aside(f"bench: still to do: {name}: {what}")
+        printing.aside(f"bench: still to do: {translated(name)}: {translated(what)}")
     if result["ended"]:
         printing.aside(f"bench: ended early: {result['ended']}")
     console.print(VERDICTS[result["status"]][1])

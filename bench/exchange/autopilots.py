@@ -10,6 +10,7 @@ import numpy as np
 import yaml
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.calibration.result import NOT_DETERMINED
 from bench.exchange.checks import READ_CHECKS, check_lines, judged, own_test, picture
 from bench.exchange.result import BlockResult
@@ -139,13 +140,20 @@ class Autopilot:
         scale, modulus_g, vector_g = diagonal(sensor)
         limits = ((self.offset, sensor.b, self.offsets), (self.scale, scale, self.scales))
         return [
-            "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no more:",
-            f"at 1 g |a| is off by up to {_size(modulus_g)}, the vector a by up to {_size(vector_g)}, "
-            "in the worst direction",
-            *([f"the axes of the vector a are {NOT_DETERMINED}"] if result.signs else []),
+            message(
+                "the six cross-axis terms are left out, for this form has a scale and an offset per axis and no "
+                "more:"
+            ),
+            message(
+                f"at 1 g |a| is off by up to {_size(modulus_g)}, the vector a by up to {_size(vector_g)}, "
+                "in the worst direction"
+            ),
+            *([message(f"the axes of the vector a are {NOT_DETERMINED}")] if result.signs else []),
         ] + [
-            f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, the limits of {self.name}; "
-            "correct more of it in the electronics, or state other scale factors (--nominal)"
+            message(
+                f"{name.format(axis)} = {value:.4g} is outside {low:g} to {high:g}, the limits of {self.name}; "
+                "correct more of it in the electronics, or state other scale factors (--nominal)"
+            )
             for name, values, (low, high) in limits
             for axis, value in axis_rows(values)
             if not low <= value <= high
@@ -259,12 +267,21 @@ def kalibr_notes(result: BlockResult, nominal: Floats | None = None) -> list[str
     arcsec = math.degrees(turn_rad) * 3600
     if result.signs:
         return [
-            "Kalibr reads M alone, and estimates the bias itself; C_accel_block (the turn to the block's axes) is "
-            f"{NOT_DETERMINED}",
+            message(
+                "Kalibr reads M alone, and estimates the bias itself; C_accel_block (the turn to the block's axes) "
+                f"is {NOT_DETERMINED}"
+            ),
         ]
     return [
-        "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,",
-        f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
-        f"{2e3 * float(np.sin(turn_rad / 2)):.3g} mg, |a| by nothing.",
-        "bias (m/s^2) and C_accel_block (the turn) are in the file; a reader that uses them loses the covariance",
+        message(
+            "Kalibr reads M alone, six of the twelve: it estimates the bias itself, and a comes on other axes,"
+        ),
+        message(
+            f"turned against the block's mounting axes by {arcsec:.4g} arcsec: a vector of 1 g is off by up to "
+            f"{2e3 * float(np.sin(turn_rad / 2)):.3g} mg, |a| by nothing."
+        ),
+        message(
+            "bias (m/s^2) and C_accel_block (the turn) are in the file; a reader that uses them loses the "
+            "covariance"
+        ),
     ]

@@ -11,9 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.base.files import to_text
+from bench.base.languages import HEADING, translated
 from bench.base.numbers import fixed, places
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
@@ -299,8 +301,10 @@ def _checks(sheet: Worksheet, result: BlockResult) -> None:
 
 def print_coefficients(result: BlockResult, on: Console) -> None:
     """Print the facts in every file's header, N and U0, misalignment angles, and the intrinsic numbers."""
-    for line in result.head():
-        on.print(line, style="bold" if line.startswith(("SIMULATED", "fit: ")) else None)
+    for name, text in result.facts().items():
+        lead = "" if name == "mark" else f"{translated(name, HEADING)}: "
+        told = text if name in ("block", "source", "bench") else translated(text)
+        on.print(Text(lead + told), style="bold" if name in ("mark", "fit") else None)
     on.print("a = N (U - U0), a the specific force in g of the place")
     on.print(_table(result.inverse.rows, result.k))
     on.print("misalignment angles of the input axes, K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i")

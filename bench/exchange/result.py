@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import Field
 
 from bench.base.arrays import Floats, u_of
+from bench.base.languages import message
 from bench.base.result_model import Matrix, Real, ResultModel
 from bench.base.text import one_line
 from bench.base.units import parse_quantity
@@ -27,16 +28,22 @@ from bench.calibration.result import (
 from bench.config.bench_file.stand import CUBIC, QUADRATIC
 from bench.model.geometry import COEFFICIENTS, Block
 
-SIMULATED = "SIMULATED: found on simulated instruments, of no real block"
+SIMULATED = message("SIMULATED: found on simulated instruments, of no real block")
 CONVENTION = "K_ij = (-1)^n K_ii alpha_ji, n = 2 where j follows i in x -> y -> z -> x, else 1"
-NINE = (
+NINE = message(
     "S_i = |row i of K|, cos theta_ij = row_i row_j / (S_i S_j), b_i = U0_i / S_i: free of the mounting; b_i has "
     "the sign of the signal: where K_ii < 0, the bias of a is -b_i"
 )
-COMBINED = "combined: the stand, the noise of the readings, and every other source that the bench has"
-OF_READINGS = "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
+COMBINED = message(
+    "combined: the stand, the noise of the readings, and every other source that the bench has"
+)
+OF_READINGS = message(
+    "the stand and the noise of these readings alone; gain and offset of the meters are not in it"
+)
 
-NOT_ACCEPTED = "NOT ACCEPTED: the readings contradict the model; find the cause with 'bench diagnose'"
+NOT_ACCEPTED = message(
+    "NOT ACCEPTED: the readings contradict the model; find the cause with 'bench diagnose'"
+)
 
 OPEN: Final = (
     *BY_CONVENTION,
@@ -324,30 +331,34 @@ class BlockResult:
     def facts(self) -> dict[str, str]:
         """Return the facts of the header by name, in the order of display; each is a text of one line."""
         u_m_s2 = self.g_m_s2 * self.gravity_u
-        of_g = f" (u = {u_m_s2:.2g} m/s^2, which is in no number per g)" if self.gravity_u else ""
+        of_g = message(f" (u = {u_m_s2:.2g} m/s^2, which is in no number per g)") if self.gravity_u else ""
         told = {
             **({"mark": SIMULATED} if self.simulated else {}),
             **({} if self.fits else {"fit": NOT_ACCEPTED}),
-            "block": self.block_name or "not stated",
+            "block": self.block_name or message("not stated"),
             "source": self.source,
             "made at": self.made_at or "not stated",
             "block temperature": f"{self.temperature_c:.1f} deg C"
             if math.isfinite(self.temperature_c)
             else "not stated",
             "bench": (self.bench or {}).get("name", "not stated"),
-            "certificates": "; ".join(self.certificates) or "none of the instruments is stated",
-            "local gravity": f"g = {self.g_m_s2!r} m/s^2{of_g}: accelerations are in this g",
-            "uncertainty": f"u: standard uncertainty, U = k u with k = {self.k:g}; "
-            f"{COMBINED if self.combined else OF_READINGS}",
+            "certificates": "; ".join(self.certificates) or message("none of the instruments is stated"),
+            "local gravity": message(f"g = {self.g_m_s2!r} m/s^2{of_g}: accelerations are in this g"),
+            "uncertainty": message(
+                f"u: standard uncertainty, U = k u with k = {self.k:g}; "
+                f"{COMBINED if self.combined else OF_READINGS}"
+            ),
             "range": self._range,
         }
         if self.signs:
             told["convention"] = self._convention
         if self.temperature:
-            told["temperature"] = f"WITHOUT TEMPERATURE, as asked: {self.temperature}"
+            told["temperature"] = message(f"WITHOUT TEMPERATURE, as asked: {self.temperature}")
         if self.effects:
             listed = ", ".join(map(str, self.effects))
-            told["left out"] = f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
+            told["left out"] = message(
+                f"a = N (U - U0) leaves out what the model has beside K and U0: {listed}"
+            )
         told |= {f"note {number}": note for number, note in enumerate(self.notes, 1)}
         return {name: one_line(text) for name, text in told.items()}
 
@@ -371,8 +382,8 @@ class BlockResult:
         terms = " and ".join(
             f"{size} a^{power}".strip() for power, size in enumerate(self.nonlinearity or ("K2", "K3"), 2)
         )
-        within = f", which has u = {self.temperature_u}" if self.temperature_u else ""
-        return (
+        within = message(f", which has u = {self.temperature_u}") if self.temperature_u else ""
+        return message(
             f"u and covariance of a hold up to 1 g; above, add the block's nonlinearity, {terms} of each axis "
             f"(k = 1), by 'bench budget'; they hold at the block temperature stated here{within}"
         )
@@ -381,7 +392,7 @@ class BlockResult:
     def _convention(self) -> str:
         """A sentence on what free positions alone do not determine."""
         signs = "those of the bench file" if self.signs == "bench file" else "positive"
-        return (
+        return message(
             f"{', '.join(OPEN)}: {NOT_DETERMINED}, as free positions alone show no orientation; the signs of the "
             f"scale factors, which no position shows either, are {signs}; covariances hold for this convention"
         )

@@ -214,8 +214,11 @@ def history_drift(when: Dates, values: Floats, variance: Floats, common: Floats 
     seconds = (dates - dates[0]).astype(float) if len(dates) else np.zeros(0)
     if len(dates) < LEAST_FOR_DRIFT or seconds[-1] < LEAST_SPAN.total_seconds():
         raise CalibrationError(
-            f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are {len(dates)}"
-            + (f" over {seconds[-1] / 3600.0:.2g} h" if len(dates) >= LEAST_FOR_DRIFT else "")
+            f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are "
+            f"{len(dates)} over {seconds[-1] / 3600.0:.2g} h"
+            if len(dates) >= LEAST_FOR_DRIFT
+            else f"a drift needs {LEAST_FOR_DRIFT} calibrations or more over more than a day; there are "
+            f"{len(dates)}"
         )
     alike = np.zeros(values.shape[1]) if common is None else np.asarray(common, dtype=float)
     stated = variance[order]
@@ -410,7 +413,7 @@ def due(
     try:
         drift = history_drift(dates, errors, np.einsum("dj,njk,dk->nd", seen, known, seen), common)
     except CalibrationError as error:
-        why = f"{error}: the interval of {interval_days:g} days applies"
+        why = message(f"{error}: the interval of {interval_days:g} days applies")
         return Due(by_interval, "interval", why, last, len(dates), limit_g, simulated=simulated)
     now = float(_expanded(drift, np.array([last]))[0])
     if now >= limit_g:

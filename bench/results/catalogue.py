@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Final, Literal
 import numpy as np
 from pydantic import Field
 from rich.console import Console
+from rich.text import Text
 
 from bench.base.arrays import Floats
-from bench.base.languages import message
+from bench.base.languages import HEADING, local_number, message, translated
 from bench.base.numbers import fixed, places, scale_for, two_digits, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
@@ -80,7 +81,7 @@ class AskResult(ResultModel):
             names = [name for name in _COLUMNS_ON_SCREEN.get(self.of, self.rows[0]) if name in self.rows[0]]
             shown = table(*(name.replace("_", " ") for name in names))
             for row in self.rows[:ON_SCREEN]:
-                shown.add_row(*(_cell(row[name]) for name in names))
+                shown.add_row(*(_shown(name, _cell(row[name])) for name in names))
             out.print(shown)
         out.print(f"{self.count} {self.of}{_not_shown(self.count, '--csv')}", style="bold")
 
@@ -130,12 +131,14 @@ class DueResult(ResultModel):
         """Print the units that are due first, and why other units have no date."""
         shown = table("due", "unit", "by", ">calibrations", "last", "")
         for one in self.units[:ON_SCREEN]:
-            simulated = "simulated" if one.simulated else ""
-            shown.add_row(one.due, one.unit, one.basis, str(one.calibrations), one.last, simulated)
+            simulated = translated("simulated", HEADING) if one.simulated else ""
+            basis = translated(one.basis, HEADING)
+            shown.add_row(one.due, Text(one.unit), basis, str(one.calibrations), one.last, simulated)
         if self.units:
             out.print(shown)
-        counted = "1 unit" if len(self.units) == 1 else f"{len(self.units)} units"
-        out.print(f"{counted} due{_not_shown(len(self.units), '--json')}", style="bold")
+        count = len(self.units)
+        counted = message(f"{count} unit{'' if count == 1 else 's'} due")
+        out.print(f"{counted}{_not_shown(count, '--json')}", style="bold")
         print_notes(out, [f"{name}: {why}" for name, why in self.not_known.items()])
         print_notes(
             out,
@@ -214,7 +217,12 @@ def due_part(found: Due) -> DuePart:
 
 def _not_shown(count: int, option: str) -> str:
     more = count - ON_SCREEN
-    return f"; {more} more are not shown: {option} FILE has all" if more > 0 else ""
+    return "; " + message(f"{more} more are not shown: {option} FILE has all") if more > 0 else ""
+
+
+def _shown(column: str, cell: str) -> str | Text:
+    """Return a cell for the terminal: a state or verdict in the current language, a name as it is."""
+    return translated(cell) if column in ("state", "verdict", "problem") else Text(local_number(cell))
 
 
 def _cell(value: object) -> str:

@@ -8,8 +8,9 @@ from typing import Any, Final, Literal
 
 from pydantic import Field
 from rich.console import Console
+from rich.text import Text
 
-from bench.base.languages import message
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import rounded, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
@@ -73,8 +74,9 @@ class RegisterResult(ResultModel):
     def print_on(self, out: Console) -> None:
         """Print a line for each certificate."""
         for one in self.certificates:
-            state = one.state + (f" ({one.by})" if one.by else "") + ("" if one.signed_by else ", not signed")
-            out.print(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}")
+            state = translated(one.state) + (f" ({one.by})" if one.by else "")
+            state += "" if one.signed_by else ", " + translated(message("not signed"))
+            out.print(Text(f"{one.number}  {one.issued[:10]}  {one.unit}  {one.run}  {state}"))
 
     def print_head(self, out: Console) -> None:
         """Print the number of certificates, and the hash of the last line, which covers all lines."""
@@ -228,10 +230,11 @@ class VerifyResult(ResultModel):
         for said in filter(None, (self.signed, self.unsigned)):
             said.print_on(out)
         for heading, lines in (
-            ("agrees", self.agreed), ("not signed", self.not_signed), ("not proved", self.not_proved),
+            (message("agrees", "heading"), self.agreed), (message("not signed"), self.not_signed),
+            (message("not proved"), self.not_proved),
         ):  # fmt: skip
             for line in lines:
-                out.print(f"{heading}: {visible(line)}")
+                out.print(Text(f"{translated(heading, HEADING)}: {translated(visible(line))}"))
 
 
 def print_coefficients(result: Mapping[str, Any], at_c: float, out: Console) -> None:

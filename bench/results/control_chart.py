@@ -8,6 +8,7 @@ from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+from markupsafe import escape
 from pydantic import Field
 from rich.console import Console
 from rich.table import Table
@@ -395,7 +396,7 @@ def _numbers_table(
 MOST_SHOWN: Final = 60
 """Number of runs, the latest, that the page draws and lists."""
 BASIS_IN_WORDS: Final = {
-    "stated": "stated u, unchanged",
+    "stated": message("stated u, unchanged"),
     "scaled": message("stated u, times one factor for all coefficients that the baseline shows"),
     "scatter": message("the scatter of the baseline alone (Hotelling's T²)"),
 }
@@ -415,8 +416,8 @@ def render_chart(found: CheckBlockChart) -> str:
     if last is not None:
         joint, single = partial(draw_joint, chart, found.unit), partial(draw_single, chart, found.unit)
         figures = [
-            svg_figure("joint", (7.4, 5.6), joint, "T², EWMA and s of every run"),
-            svg_figure("single", (7.4, 6.4), single, "each of the nine by run"),
+            svg_figure("joint", (7.4, 5.6), joint, message("T², EWMA and s of every run")),
+            svg_figure("single", (7.4, 6.4), single, message("each of the nine by run")),
         ]
     return page(
         "control_chart.html.j2",
@@ -441,15 +442,15 @@ def draw_joint(chart: ControlChart, unit: str, figure: Figure) -> None:
     panels = figure.subplots(3 if chart.short is not None else 2, sharex=True, squeeze=False)[:, 0]
     along = np.arange(1.0, len(chart.later) + 1)[shown]
     _panel(panels[0], along, chart.shewhart.t2[shown], np.full(len(along), chart.limit_t2))
-    panels[0].set_ylabel("T² of the run")
+    panels[0].set_ylabel(message("T² of the run"))
     _panel(panels[1], along, chart.ewma.t2[shown], np.full(len(along), chart.limit_ewma))
-    panels[1].set_ylabel(f"T² of the EWMA (λ = {chart.design.smoothing:g})")
+    panels[1].set_ylabel(message(f"T² of the EWMA (λ = {chart.design.smoothing:g})"))
     if chart.short is not None:
         scale = scale_for(chart.short.pooled, unit)
         limits = chart.short.limits(chart.design.alpha)[shown] / scale.size
         _panel(panels[2], along, chart.short.s[shown] / scale.size, limits)
         panels[2].axhline(chart.short.pooled / scale.size, color=GREY, linewidth=0.7)
-        panels[2].set_ylabel(f"s of a reading / {scale.unit}")
+        panels[2].set_ylabel(message(f"s of a reading / {scale.unit}"))
     _name_runs(panels[-1], chart, along)
 
 
@@ -466,8 +467,8 @@ def draw_single(chart: ControlChart, unit: str, figure: Figure) -> None:
         _coefficient(axes, chart, k, along, shown, size)
         axes.set_title(f"{symbol(name)} / {own}")
         axes.xaxis.get_major_locator().set_params(integer=True)
-    figure.supylabel("off the centre", fontsize=8)
-    figure.supxlabel("run after the baseline", fontsize=8)
+    figure.supylabel(message("off the centre"), fontsize=8)
+    figure.supxlabel(message("run after the baseline"), fontsize=8)
 
 
 def _coefficient(axes: Axes, chart: Any, k: int, along: Floats, shown: slice, size: float) -> None:
@@ -512,7 +513,7 @@ def _name_runs(axes: Axes, chart: Any, along: Floats) -> None:
 def _runs(result: ChartResult) -> list[Row]:
     return [
         Row(
-            run.run,
+            escape(run.run),  # a name is not translated
             *_run_cells(result, run),
             "in control" if run.accepted else "; ".join(run.reasons),
             bad=not run.accepted,

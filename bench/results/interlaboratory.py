@@ -164,7 +164,9 @@ def render_kit(result: KitResult) -> str:
         draw_degrees(figure, codes, nine, result.unit)
 
     height = 2.4 + 0.9 * len(codes)
-    figure = svg_figure("equivalence", (7.4, height), draw, "each laboratory less the others, by number")
+    figure = svg_figure(
+        "equivalence", (7.4, height), draw, message("each laboratory less the others, by number")
+    )
     return page(
         "interlaboratory.html.j2", result=result, figure=figure,
         laboratories=[

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.languages import message
+from bench.base.languages import HEADING, message, translated
 from bench.base.result_model import Matrix, Real, ResultModel, Vector
 from bench.base.tables import table
 from bench.history.learned import Contrasts, Learned
@@ -134,7 +134,7 @@ def print_learned(found: Learned, result: LearnResult, out: Console) -> None:
     )
     shown = table("size", ">value", ">u", ">dof", "", "")
     for name, size in result.sizes.items():
-        dof = "many" if size.dof is None or size.dof >= 1e5 else f"{size.dof:.0f}"
+        dof = translated("many", HEADING) if size.dof is None or size.dof >= 1e5 else f"{size.dof:.0f}"
         told = "" if size.told else message("as stated before")
         shown.add_row(name, f"{size.value:.4g}", f"{size.u:.2g}", dof, size.unit, told)
     out.print(shown)

@@ -10,7 +10,7 @@ from typing import Final, Literal
 from pydantic import Field
 from rich.console import Console
 
-from bench.base.languages import message
+from bench.base.languages import HEADING, message, translated
 from bench.base.result_model import ResultModel
 from bench.base.tables import table
 from bench.results.tables import page
@@ -270,7 +270,7 @@ class ValidationResult(ResultModel):
         """Print the number of passed checks by family, the checks that failed or changed, and the outcome."""
         for family, rows in families(self.checks):
             good = sum(row.passed for row in rows)
-            out.print(f"{family}: {good} of {len(rows)} passed")
+            out.print(f"{translated(family, HEADING)}: {good} of {len(rows)} passed")
         bad = [*self.failed, *self.changes]
         if bad:
             shown = table("not as expected", "clause", "expected", "found", "where")

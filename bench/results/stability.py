@@ -9,7 +9,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.table import Table
 
-from bench.base.languages import message
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import MINUS, probability, quantity, scale_for
 from bench.base.result_model import Real, ResultModel, Vector
 from bench.base.tables import print_notes, table
@@ -154,13 +154,18 @@ def averaging_lines(found: Stability) -> list[str]:
 def _table(found: Stability) -> Table:
     record, unit = found.record, found.record.unit
     shown = table("", *(f">{channel}" for channel in record.channels))
-    shown.add_row("mean", *(f"{mean:.7g} {unit}" for mean in record.mean))
+    shown.add_row(translated("mean", HEADING), *(f"{mean:.7g} {unit}" for mean in record.mean))
     slopes = (3600.0 * record.drift_per_s).tolist()
-    shown.add_row("drift", *(f"{MINUS if s < 0 else ''}{quantity(abs(s), unit)}/h" for s in slopes))
+    shown.add_row(
+        translated("drift", HEADING), *(f"{MINUS if s < 0 else ''}{quantity(abs(s), unit)}/h" for s in slopes)
+    )
     for k, term in enumerate(TERMS):
-        shown.add_row(f"{term.name} {term.symbol}", *(_term(terms, k, unit) for terms in found.terms))
-    shown.add_row("averaging time", *(f"{average.tau_s:.3g} s" for average in found.averages))
-    shown.add_row("noise left", *(quantity(average.deviation, unit) for average in found.averages))
+        shown.add_row(
+            f"{translated(term.name, HEADING)} {term.symbol}",
+            *(_term(terms, k, unit) for terms in found.terms),
+        )
+    shown.add_row(message("averaging time"), *(f"{average.tau_s:.3g} s" for average in found.averages))
+    shown.add_row(message("noise left"), *(quantity(average.deviation, unit) for average in found.averages))
     return shown
 
 
@@ -189,7 +194,7 @@ def allan_figure(found: Stability, *, inline: bool = False) -> str:
             reach = np.stack([curve.deviation - low, high - curve.deviation]) / scale.size
             axes.errorbar(
                 curve.tau_s, curve.deviation / scale.size, reach,
-                fmt=marker, color=colour, capsize=2, linewidth=0.9, label=f"channel {channel}",
+                fmt=marker, color=colour, capsize=2, linewidth=0.9, label=message(f"channel {channel}"),
             )  # fmt: skip
             fine = np.geomspace(curve.tau_s[0], curve.tau_s[-1], 200)
             axes.plot(fine, term.deviation(fine) / scale.size, color=colour, linewidth=0.8, alpha=0.7)

@@ -135,7 +135,7 @@ def duration(seconds: float) -> str:
 
 
 _STOPS: Final[Mapping[str, str]] = {
-    "reached": "enough",
+    "reached": message("enough"),
     "used up": message("not reached; no setting is left to measure"),
     "time": message("the time is up"),
 }
@@ -159,22 +159,24 @@ def chosen_in_words(data: Mapping[str, Any]) -> str:
     if coming.get("tells_apart"):
         words += message(", to separate possible causes of the misfit")
     if (then := coming.get("then")) is not None:
-        words += f", for {size_in_words(then['u'], then['unit'])}"
-        if (gained := _per_minute(data.get("now"), coming)) is not None:
-            words += f" ({gained} a minute)"
+        size, gained = size_in_words(then["u"], then["unit"]), _per_minute(data.get("now"), coming)
+        words += ", " + (
+            message(f"for {size}") if gained is None else message(f"for {size} ({gained} a minute)")
+        )
     further = in_all["settings"] - count
-    left = message(f"then about {further} more; ") if further > 0 else ""
-    left += message(f"{duration(in_all['takes_s'])} to the end")
-    return "; ".join(filter(None, (now, so_far if data["settings"] else "", words, left)))
+    more = message(f"then about {further} more") if further > 0 else ""
+    left = message(f"{duration(in_all['takes_s'])} to the end")
+    return "; ".join(filter(None, (now, so_far if data["settings"] else "", words, more, left)))
 
 
 def _goal_in_words(reached: Mapping[str, Any] | None) -> str:
     """Return the state of a goal, such as "u of Kxy is 61 µV/g, goal 50 µV/g"; empty for None."""
     if reached is None:
         return ""
-    words = f"{reached['goal']} is {size_in_words(reached['u'], reached['unit'])}"
-    asked = reached.get("asked")
-    return f"{words}, goal {size_in_words(asked, reached['unit'])}" if asked else words
+    size, asked = size_in_words(reached["u"], reached["unit"]), reached.get("asked")
+    if not asked:
+        return message(f"{reached['goal']} is {size}")
+    return message(f"{reached['goal']} is {size}, goal {size_in_words(asked, reached['unit'])}")
 
 
 def size_in_words(u: float, unit: str) -> str:

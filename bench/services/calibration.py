@@ -449,7 +449,7 @@ def _with_note_on_temperatures(source: Source) -> Source:
     found = separate_temperatures(source.readings)
     if not found or (len(found) < SEVERAL_TEMPERATURES and found[-1] - found[0] <= APART_K):
         return source
-    note = (
+    note = message(
         f"readings span {found[-1] - found[0]:.0f} K at {len(found)} temperatures, and these coefficients "
         "mix them; use 'bench compensate'"
     )

@@ -14,6 +14,7 @@ from rich.console import Console
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import to_text
+from bench.base.languages import message
 from bench.base.tables import as_text
 from bench.calibration.budget.meters import may_move
 from bench.calibration.intrinsic import least_dof
@@ -62,11 +63,11 @@ USUAL_DAYS: Final = 365
 MOST_DAYS: Final = 36_500
 """Largest number of days for which a learned file can be valid: a century."""
 HEAD_EFFECTS: Final = ("head_eccentricity", "head_ellipticity")
-ONE_STAND: Final = (
+ONE_STAND: Final = message(
     "each angle has one mean for all installations; if their brackets differ, --by-installation estimates "
     "a mean for each"
 )
-OF_THE_REPEATS: Final = (
+OF_THE_REPEATS: Final = message(
     "noise and setting error come from repeats alone, so that model errors do not enlarge them"
 )
 
@@ -106,10 +107,13 @@ class LearningResult:
         """Notes for the reader, a sentence each."""
         own = [OF_THE_REPEATS] if self.by_installation else [ONE_STAND, OF_THE_REPEATS]
         if self.simulated:
-            own.append("these runs are simulated: the result applies to simulated runs only")
+            own.append(message("these runs are simulated: the result applies to simulated runs only"))
         if self.learned.too_many_contradict:
             own.append(
-                "more than a third of the runs contradict the others; learn from runs of one bench between changes"
+                message(
+                    "more than a third of the runs contradict the others; learn from runs of one bench between "
+                    "changes"
+                )
             )
         return tuple(own)
 

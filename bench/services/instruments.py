@@ -15,6 +15,7 @@ import numpy as np
 from bench.base.arrays import ARCSEC
 from bench.base.computing import versions
 from bench.base.files import to_text, write_whole
+from bench.base.languages import message, translated
 from bench.base.numbers import without_infinity
 from bench.calibration.result import CalibrationError
 from bench.config.bench_file.file import BenchFile, load_bench
@@ -370,15 +371,23 @@ def line_of(result: Mapping[str, Any]) -> str:
     troubles = [one for one in result["findings"] if one["state"] not in ("works", "skipped")]
     if not troubles and not result["ended"] and not result["to_do"]:
         left = [
-            f"{one['check']} not checked: {one['said']}"
+            message(f"{one['check']} not checked: {one['said']}")
             for one in result["findings"]
             if one["state"] == "skipped"
         ]
-        return "; ".join([f"✓ {result['bench']} is ready, {len(result['findings'])} checks", *left])
-    words = [f"{one['instrument']}: {one['check']}: {one['said']}; {one['remedy']}" for one in troubles]
-    words += [f"{name}: {what}" for name, what in result["to_do"].items()]
+        ready = message(f"✓ {result['bench']} is ready, {len(result['findings'])} checks")
+        return "; ".join(map(translated, [ready, *left]))
+    told = (
+        map(translated, (one["instrument"], one["check"], one["said"], one["remedy"])) for one in troubles
+    )
+    words = ["{}: {}: {}; {}".format(*one) for one in told]
+    words += [f"{translated(name)}: {translated(what)}" for name, what in result["to_do"].items()]
     return "\n".join(
-        [f"✗ {result['bench']} is not ready", *([result["ended"]] if result["ended"] else []), *words]
+        [
+            message(f"✗ {result['bench']} is not ready"),
+            *([result["ended"]] if result["ended"] else []),
+            *words,
+        ]
     )
 
 

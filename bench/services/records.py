@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bench.base.files import read_regular
+from bench.base.languages import message
 from bench.readings.columns import columns_of, ranges_in_words
 from bench.results.records import ProvenRecordPart, RunPart, RunsResult, ShowResult
 from bench.run import seal as seals
@@ -98,7 +99,7 @@ def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     return alive.get(state, state.value), f"bench resume {resume_to_type(run.folder)}"
 
 
-NOTHING_OUTSIDE = (
+NOTHING_OUTSIDE = message(
     "this check does not show removed last lines or a recomputed chain; --head HEAD does, with a head that "
     "was noted elsewhere"
 )
@@ -141,12 +142,12 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
         raise Refused(f"--head {head}: give the SHA-256 of a line, 64 hexadecimal digits")
     given = None if key is None else seals.read_public_key(key)
-    told, problems = [f"head: {run.history.head}"], []
+    told, problems = [message(f"head: {run.history.head}")], []
     outside = False
     if head is not None:
         if head.lower() == run.history.head:
             outside = True
-            told.append("the head equals the given one: no line was changed, removed or added since")
+            told.append(message("the head equals the given one: no line was changed, removed or added since"))
         else:
             problems.append(
                 "--head: the hash of the record's last line differs from the given one; check that the given "
@@ -156,7 +157,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     try:
         seal = seals.read_seal(run.folder)
         if seal is None:
-            told.append("the run has no seal")
+            told.append(message("the run has no seal"))
             if key is not None or authority is not None:
                 problems.append(
                     "the run has no seal that --key or --authority could check; make one with 'bench seal RUN'"
@@ -178,8 +179,10 @@ def _signature(
     """Add sentences on the seal's signature to `told` or `problems`; return whether key `given` made it."""
     if not seal.signature:
         told.append(
-            f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "
-            "made this seal"
+            message(
+                f"sealed at {seal.events} events, not signed: anybody who can write the folder could have "
+                "made this seal"
+            )
         )
         if given is not None:
             problems.append("the seal has no signature that the key could check; remove --key")
@@ -191,14 +194,18 @@ def _signature(
     name = seals.fingerprint(key)
     if given is None:
         told.append(
-            f"sealed at {seal.events} events, signed with the key {name}; --key FILE checks whose key it is"
+            message(
+                f"sealed at {seal.events} events, signed with the key {name}; --key FILE checks whose key it is"
+            )
         )
         return False
     if seals.fingerprint(given) != name:
         problems.append(f"the seal is signed with another key than the given one; give the key {name}")
         return False
     told.append(
-        f"sealed at {seal.events} events, signed with the given key, by the owner of its private half"
+        message(
+            f"sealed at {seal.events} events, signed with the given key, by the owner of its private half"
+        )
     )
     return True
 
@@ -206,7 +213,9 @@ def _signature(
 def _time_stamp(seal: seals.Seal, authority: Path | None, told: list[str], problems: list[str]) -> bool:
     """Add sentences on the time stamp to `told` or `problems`; return whether a trusted authority made it."""
     if not seal.time_stamp:
-        told.append(f"no time stamp: only the computer's clock states that it was sealed at {seal.sealed}")
+        told.append(
+            message(f"no time stamp: only the computer's clock states that it was sealed at {seal.sealed}")
+        )
         if authority is not None:
             problems.append("the seal has no time stamp that the authority could confirm; remove --authority")
         return False
@@ -217,7 +226,7 @@ def _time_stamp(seal: seals.Seal, authority: Path | None, told: list[str], probl
         return False
     at = stamp.time.isoformat()
     if stamp.trusted:
-        told.append(f"time-stamped by the given authority: the record existed by {at}")
+        told.append(message(f"time-stamped by the given authority: the record existed by {at}"))
     else:
-        told.append(f"its time stamp states {at}; --authority FILE checks who issued it")
+        told.append(message(f"its time stamp states {at}; --authority FILE checks who issued it"))
     return stamp.trusted

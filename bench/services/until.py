@@ -176,12 +176,14 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
         f"{name.replace('_', ' ')} {size_in_words(u, unit)}" for name, u in worst.parts[:_PARTS_TOLD]
     )
     others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
+    least, asked = size_in_words(worst.u, unit), size_in_words(worst.wanted.goal.asked, unit)
     raise Refused(
-        f"--until: no number of readings at these points lowers the {worst.wanted.name} below "
-        f"{size_in_words(worst.u, unit)}, but {size_in_words(worst.wanted.goal.asked, unit)} is asked for; its "
-        f"main causes: {parts}"
-        + (f"; nor the {', '.join(others)}" if others else "")
-        + "; relax the goal, or reduce these errors"
+        f"--until: no number of readings at these points lowers the {worst.wanted.name} below {least}, but "
+        f"{asked} is asked for; its main causes: {parts}; nor the {', '.join(others)}; relax the goal, "
+        "or reduce these errors"
+        if others
+        else f"--until: no number of readings at these points lowers the {worst.wanted.name} below {least}, but "
+        f"{asked} is asked for; its main causes: {parts}; relax the goal, or reduce these errors"
     )
 
 

@@ -11,6 +11,7 @@ from scipy import optimize, special
 
 from bench.base.arrays import Floats, Ints, Mask, u_of
 from bench.base.computing import CalibrationError
+from bench.base.languages import message
 
 LONGEST_PART: Final = 4
 """Least ratio of record length to averaging time: longer averages would leave only one or two differences."""
@@ -178,10 +179,10 @@ class NoiseTerm:
 
 
 TERMS: Final = (
-    NoiseTerm("Q", "quantisation", " s", 3.0, -2, 2, 0.5),
-    NoiseTerm("N", "white noise", "/√Hz", 1.0, -1, 0, 0.55),
-    NoiseTerm("B", "bias instability", "", 2.0 * float(np.log(2.0)) / np.pi, 0, -1, 0.7),
-    NoiseTerm("K", "rate random walk", "/√s", 1.0 / 3.0, 1, -2, 0.9),
+    NoiseTerm("Q", message("quantisation", "heading"), " s", 3.0, -2, 2, 0.5),
+    NoiseTerm("N", message("white noise"), "/√Hz", 1.0, -1, 0, 0.55),
+    NoiseTerm("B", message("bias instability"), "", 2.0 * float(np.log(2.0)) / np.pi, 0, -1, 0.7),
+    NoiseTerm("K", message("rate random walk"), "/√s", 1.0 / 3.0, 1, -2, 0.9),
     NoiseTerm("R", "drift", "/s", 0.5, 2, -2, 0.95),
 )
 SHOWN: Final = 2.0

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from bench.base.computing import CalibrationError, missing
 from bench.base.files import read_given, read_json, to_text, write_whole
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.base.yaml_files import sha256_of_file
 from bench.batch.job import job_of
@@ -246,7 +247,7 @@ def _of_past_runs(part: AgainstPart) -> ValidationCheck:
     )
     return ValidationCheck(
         name="past runs",
-        family="changes since the accepted validation",
+        family=message("changes since the accepted validation"),
         clause="7.11.2",
         did="Recompute past runs by the estimators of their stored results.",
         source="",

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.calibration import calibrate
 from bench.calibration.budget.propagation import (
     Distributed,
@@ -35,7 +36,7 @@ from bench.validation.reference import MODEL, agreement
 from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 
-check = partial(enter, family="reference data", place="bench/calibration/budget/propagation.py")
+check = partial(enter, family=message("reference data"), place="bench/calibration/budget/propagation.py")
 
 TRIALS: Final = 400_000
 SEED_OFFSET = 0
@@ -318,7 +319,7 @@ def scaled_t(context: Context) -> Finding:
 # --- statistics: are the errors of results in simulated files as large as the stated u? ------------------
 
 
-statistic = partial(enter, family="statistics of own results", place="bench/calibration")
+statistic = partial(enter, family=message("statistics of own results"), place="bench/calibration")
 
 FILES, QUICK_FILES = 200, 60
 NOISE_V: Final = 1e-4

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Final
 
+from bench.base.languages import message
 from bench.config.devices.device import WiredForm
 from bench.run.assembly.served import dry_bench
 from bench.run.workbench import QUICK_NPLC
@@ -20,7 +21,7 @@ from sim.bench import SimulatedBench
 from sim.scpi import never
 from sim.wires.faults import Fault, FaultKind
 
-check = partial(enter, family="instruments of this bench file, simulated")
+check = partial(enter, family=message("instruments of this bench file, simulated"))
 
 _WELL: Final = ("works", "slower")
 _PATIENCE_S: Final = 0.3

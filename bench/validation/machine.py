@@ -27,6 +27,7 @@ from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
 from packaging.requirements import Requirement
 
 from bench.base.files import cache_folder, read_given, read_json, write_whole
+from bench.base.languages import message
 from bench.base.yaml_files import sha256_of_file
 from bench.readings.csv import read_csv
 from bench.run.seal import is_signed, read_public_key
@@ -36,8 +37,8 @@ from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 from drivers.clock import SystemClock, utc_now
 
-check = partial(enter, family="machine")
-compare = partial(enter, family="changes since the accepted validation", change=True)
+check = partial(enter, family=message("machine", "heading"))
+compare = partial(enter, family=message("changes since the accepted validation"), change=True)
 
 _FREE_BYTES: Final = 500_000_000
 _NOT_BEFORE: Final = datetime(2026, 11, 1, tzinfo=UTC)

@@ -22,6 +22,7 @@ from rich.console import Console
 from scipy import stats
 
 from bench.base.arrays import CHANNELS
+from bench.base.languages import message
 from bench.base.yaml_files import load_document
 from bench.calibration.conformity import DecisionRule, MeasuredValues, probability_outside
 from bench.config.procedure.load import check as plan_check
@@ -46,7 +47,7 @@ from bench.validation.registry import Context, Finding
 from bench.validation.registry import check as enter
 from drivers.clock import SystemClock, utc_now
 
-check = partial(enter, family="records")
+check = partial(enter, family=message("records", "heading"))
 
 PROCEDURE: Final = "quick"
 SEED: Final = 34
@@ -235,7 +236,7 @@ def write_files(folder: Path, laboratory: Any = None, order: Any = None) -> tupl
     return written[0], written[1]
 
 
-@check("certificate", "7.8.1", "", family="certificates", place="bench/certificate")
+@check("certificate", "7.8.1", "", family=message("certificates", "heading"), place="bench/certificate")
 def life(context: Context) -> Iterator[Finding]:
     """Issue the certificate of a dry run, verify, change and revoke it; try to issue one for a changed record."""
     try:
@@ -296,7 +297,7 @@ def life(context: Context) -> Iterator[Finding]:
 # --- what leaves the program: statements of conformity, numbers and units of exported files --------------
 
 
-given_out = partial(enter, family="results given out")
+given_out = partial(enter, family=message("results given out"))
 
 DIODE_FAR_V: Final = 100.0
 """A limit on the other side, which the example does not have and this one does not reach."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from bench.base.arrays import Floats, least_squares
+from bench.base.languages import message
 from bench.calibration import calibrate
 from bench.calibration.gls import solve_rows
 from bench.model import ForwardModel
@@ -23,7 +24,7 @@ from bench.validation.paper_bench import STAND_U, TRUTH, simulate
 from bench.validation.registry import REFERENCE, Context, Finding
 from bench.validation.registry import check as enter
 
-check = partial(enter, family="reference data")
+check = partial(enter, family=message("reference data"))
 
 MODEL: Final = ForwardModel({"1": INSTALLATION_1, "2": INSTALLATION_2})
 """The paper's two installations without effects."""

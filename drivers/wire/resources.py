@@ -30,16 +30,20 @@ from drivers.interfaces import InstrumentRefused, message
 # themselves.
 
 _PACKAGES: Final = {
-    "psutil": "only the network of the default interface was searched (install psutil to search all)",
-    "zeroconf": "instruments that announce themselves as HiSLIP were not searched (install zeroconf)",
+    "psutil": message(
+        "only the network of the default interface was searched (install psutil to search all)"
+    ),
+    "zeroconf": message(
+        "instruments that announce themselves as HiSLIP were not searched (install zeroconf)"
+    ),
 }
 """What is not searched without an optional package, by the package that pyvisa-py warns about."""
 _LIBRARIES: Final = {
-    ("gpib", "gpib_ctypes"): "GPIB boards were not searched (install linux-gpib or gpib-ctypes)",
-    ("usb",): "USB was not searched (install pyusb)",
+    ("gpib", "gpib_ctypes"): message("GPIB boards were not searched (install linux-gpib or gpib-ctypes)"),
+    ("usb",): message("USB was not searched (install pyusb)"),
 }
 """What is not searched if none of several packages is installed; pyvisa-py does not report their absence."""
-SOCKETS: Final = (
+SOCKETS: Final = message(
     "raw SCPI sockets (TCPIP::HOST::5025::SOCKET), chambers and heads on a network cannot be found this way: "
     "see the address on the instrument's own display"
 )

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 
 from bench.base.arrays import Floats
 from bench.base.files import from_text, read_regular
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.units import VOLTAGE, parse_quantity
 from bench.certificate.dcc.nodes import DCC, NAMESPACES, SI, Node, tag
@@ -139,7 +140,7 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
     if root.tag != ROOT:
         raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
-        return root, ("this document has no signature", *_why_not_valid(path, root))
+        return root, (message("this document has no signature"), *_why_not_valid(path, root))
     from bench.certificate.signatory import name_of
 
     try:

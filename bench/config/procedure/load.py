@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from bench.base.computing import uncollected
 from bench.base.files import MEGABYTE
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.yaml_files import (
     Document,
@@ -491,7 +492,7 @@ class Expansion:
     def _reading(self, verb: ReadVerb, place: Place, context: _Context) -> None:
         for index in range(verb.times):
             if index and verb.pause:
-                self._wait(verb.pause, "until the next reading")
+                self._wait(verb.pause, message("until the next reading"))
             if context.input:
                 self._read_input(verb, context)
             else:

@@ -349,7 +349,7 @@ class Power(Step):
             if self.switch == "cycle"
             else message("switch the block on")
         )
-        return f"{again}, {warm if self.warm_up_s != 0.0 else 'without warm-up'}"
+        return message(f"{again}, {warm if self.warm_up_s != 0.0 else message('without warm-up')}")
 
     def takes_s(self, times: Times) -> float:
         return power_duration_s(self, times.supply)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final, NamedTuple, Protocol, runtime_checkable
 
+from bench.base.languages import HEADING, message, translated
 from bench.config.devices.device import WiredForm
 from bench.config.devices.sections import ThermometerForm
 from bench.run.commission import devices, meters
@@ -15,8 +16,8 @@ from bench.run.commission.session import CommissioningSession, Figure, Finding, 
 from bench.run.instruments import same_serials
 from drivers.interfaces import BenchError, Instrument, PowerSupply, ThermalChamber, Voltmeter
 
-CABLE: Final = "cable pulled"
-AGAIN: Final = "cable plugged in again"
+CABLE: Final = message("cable pulled")
+AGAIN: Final = message("cable plugged in again")
 
 TRIES: Final = 3
 """Attempts that a driver makes before it reports a lost connection; each takes a timeout and a reconnection."""
@@ -155,8 +156,8 @@ def _wait_until_back(
         evening.clock.sleep(PAUSE_S)
 
 
-IDENTITY: Final = "identity"
-BENCH: Final = "bench"
+IDENTITY: Final = message("identity", "heading")
+BENCH: Final = message("bench", "heading")
 
 
 class Part(NamedTuple):
@@ -239,9 +240,8 @@ def go_through(evening: CommissioningSession) -> None:
     every = list(parts(evening))
     for number, part in enumerate(every, start=1):
         try:
-            evening.confirm(
-                f"Part {number} of {len(every)}, {part.title}: {part.announced} Continue?", default="yes"
-            )
+            title, announced = translated(part.title, HEADING), translated(part.announced)
+            evening.confirm(f"Part {number} of {len(every)}, {title}: {announced} Continue?", default="yes")
             part.carry_out(evening)
         except Skipped as why:
             evening.note(Finding(part.title, BENCH, State.SKIPPED, str(why)))

@@ -10,6 +10,7 @@ from functools import partial
 from typing import Final, Protocol, runtime_checkable
 
 from bench.base.arrays import ARCSEC
+from bench.base.languages import message
 from bench.base.text import APPROACH, degrees
 from bench.config.devices.sections import ChamberForm, HeadForm, MotorisedHeadForm, SupplyForm
 from bench.run.commission.session import CheckEnded, CommissioningSession, Figure, Finding, State
@@ -30,9 +31,9 @@ from drivers.interfaces import (
 )
 from drivers.making_safe import SEE_IT_STANDS, Attempts
 
-LIMITS: Final = "limits"
-MOVE: Final = "small move"
-STOP: Final = "stop"
+LIMITS: Final = message("limits", "heading")
+MOVE: Final = message("small move")
+STOP: Final = message("stop", "heading")
 
 BEYOND_K: Final = 1.0
 BEYOND_V: Final = 1.0
@@ -335,8 +336,8 @@ def _turned(head: DividingHead, target_rad: float, direction: Direction, number:
     return Finding(MOVE, head.name, State.WORKS, said, (off,))
 
 
-READ: Final = "temperature"
-STANDBY: Final = "standby"
+READ: Final = message("temperature", "heading")
+STANDBY: Final = message("standby", "heading")
 
 
 def check_standby(evening: CommissioningSession, chamber: ThermalChamber) -> None:
@@ -370,10 +371,10 @@ def _standby(evening: CommissioningSession, chamber: ThermalChamber, by_hand: bo
     return Finding(STANDBY, chamber.name, State.WORKS, "stopped conditioning, and its driver read that back")
 
 
-REVERSED: Final = "half a turn"
-BLOCK: Final = "temperature of the block"
-METERS: Final = "temperature of the voltmeters"
-ROOM: Final = "temperature of the room"
+REVERSED: Final = message("half a turn")
+BLOCK: Final = message("temperature of the block")
+METERS: Final = message("temperature of the voltmeters")
+ROOM: Final = message("temperature of the room")
 
 
 def check_level(evening: CommissioningSession, level: Level) -> None:
@@ -427,7 +428,7 @@ def _temperature(place: str, thermometer: Thermometer) -> Finding:
     return Finding(place, thermometer.name, State.WORKS, f"shows it ({thermometer.sensor})", figures)
 
 
-OUTPUTS: Final = "outputs"
+OUTPUTS: Final = message("outputs", "heading")
 
 
 def check_outputs(evening: CommissioningSession, supply: PowerSupply) -> None:

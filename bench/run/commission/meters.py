@@ -9,6 +9,7 @@ from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 
+from bench.base.languages import message
 from bench.base.numbers import scale_for
 from bench.config.devices.sections import VoltmeterForm
 from bench.run.commission.session import CommissioningSession, Figure, Finding, State
@@ -16,12 +17,12 @@ from bench.run.driver_checks import checked_samples
 from bench.run.workbench import QUICK_NPLC
 from drivers.interfaces import Channel, Voltmeter, VoltmeterSettings
 
-SETTINGS: Final = "settings"
-TIME: Final = "time of a reading"
-TOGETHER: Final = "together"
-NOISE: Final = "noise, inputs shorted"
+SETTINGS: Final = message("settings", "heading")
+TIME: Final = message("time of a reading")
+TOGETHER: Final = message("together", "heading")
+NOISE: Final = message("noise, inputs shorted")
 
-SHORT_INPUTS: Final = (
+SHORT_INPUTS: Final = message(
     "Take the signals off the voltmeters and short their inputs, HI to LO, with copper and no longer than "
     "needed"
 )

@@ -11,6 +11,7 @@ from typing import Final, Literal, Protocol, runtime_checkable
 import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
+from bench.base.languages import message
 from bench.base.text import degrees
 from bench.config.devices.sections import HeadForm, MotorisedHeadForm
 from bench.readings.table import Reading
@@ -23,13 +24,13 @@ from drivers.angles import format_dms, wrapped_rad
 from drivers.interfaces import Direction, HeadPosition, Instrument, SelfTesting, Voltmeter
 from drivers.person import SwitchInputs, watching
 
-SELF_TEST: Final = "self-test"
-REFERENCE: Final = "reference"
-INPUTS: Final = "inputs"
-HOME: Final = "home"
-TURN: Final = "away and back"
-RETURN: Final = "home and back"
-CHECK_BLOCK: Final = "check block"
+SELF_TEST: Final = message("self-test", "heading")
+REFERENCE: Final = message("reference", "heading")
+INPUTS: Final = message("inputs", "heading")
+HOME: Final = message("home", "heading")
+TURN: Final = message("away and back")
+RETURN: Final = message("home and back")
+CHECK_BLOCK: Final = message("check block")
 
 WAY_RAD: Final = math.radians(45.0)
 KEY: Final = "morning/head"
@@ -112,7 +113,7 @@ class MorningCourse:
         if not self.serial:
             return Finding(CHECK_BLOCK, BENCH, State.SKIPPED, "the bench file states none")
         if self.judge is None or len(stands) < 2:
-            why = self.no_chart or "not measured, because the head did not return"
+            why = self.no_chart or message("not measured, because the head did not return")
             return Finding(CHECK_BLOCK, self.serial, State.SKIPPED if self.no_chart else State.COULD_NOT, why)
         last = stands[-1]
         x, y, z = last.signals_v

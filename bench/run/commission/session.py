@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Final
 
+from bench.base.languages import HEADING, message, translated
 from bench.config.bench_file.file import BenchFile
 from bench.config.bench_file.sections import InstrumentForm
 from bench.config.devices.device import WiredForm
@@ -31,14 +32,14 @@ from drivers.person import Action, Answer, Person, Prompt, PromptKind, WatchingP
 class State(StrEnum):
     """The result of one check of an instrument."""
 
-    WORKS = "works"
-    SLOWER = "slower"
+    WORKS = message("works", "heading")
+    SLOWER = message("slower", "heading")
     """The instrument works, but more slowly than its driver expects."""
-    OTHER = "other"
+    OTHER = message("other", "heading")
     """The instrument answers, but not as its driver or its data sheet says."""
-    COULD_NOT = "could not"
+    COULD_NOT = message("could not")
     """The check could not be carried out."""
-    SKIPPED = "skipped"
+    SKIPPED = message("skipped", "heading")
     """The person left the check out; the reason is on record."""
 
 
@@ -80,9 +81,10 @@ class Finding:
 
     @property
     def sentence(self) -> str:
-        """The finding as one line of text."""
-        remedy = f"; {self.remedy}" if self.remedy else ""
-        return f"{self.instrument}: {self.check}: {self.said}{remedy}"
+        """The finding as one line of text, in the current language."""
+        remedy = f"; {translated(self.remedy)}" if self.remedy else ""
+        check, said = translated(self.check, HEADING), translated(self.said, HEADING)
+        return f"{translated(self.instrument)}: {check}: {said}{remedy}"
 
 
 def status_of(findings: Sequence[Finding], *, whole: bool) -> int:
@@ -147,16 +149,16 @@ class WireWatch:
 
 
 WISHES: Final = {
-    Wish.SKIP: "leave this check out; the page states the reason",
-    Wish.ABORT: "end here; the bench is made safe and the page written",
+    Wish.SKIP: message("leave this check out; the page states the reason"),
+    Wish.ABORT: message("end here; the bench is made safe and the page written"),
 }
 """Wishes accepted at any prompt, with their effects."""
-ONLY_THESE: Final = "Only :skip REASON and :abort work here. "
+ONLY_THESE: Final = message("Only :skip REASON and :abort work here. ")
 MOST_LOSSES: Final = 2
 """Number of losses after which an instrument is no longer checked, because each loss costs several timeouts."""
 SLOW_PART: Final = 0.5
 """Greatest fraction of the timeout that a response may take; a slower one is reported."""
-_CHECK_WIRE: Final = "check cable and power; the wire log shows the failed command"
+_CHECK_WIRE: Final = message("check cable and power; the wire log shows the failed command")
 
 
 class Skipped(Exception):
@@ -271,7 +273,7 @@ class CommissioningSession:
     def note(self, finding: Finding) -> None:
         """Store a finding and display it."""
         self.findings.append(finding)
-        self.tell(f"{finding.state.value:>9}  {finding.sentence}")
+        self.tell(f"{translated(finding.state.value, HEADING):>9}  {finding.sentence}")
 
     def carry_out(
         self,
@@ -336,7 +338,7 @@ class CommissioningSession:
         except Exception as error:  # a defect of one driver must not prevent the checks of the others
             if (fault := named_fault(error, taking_part)) is not None:
                 return self._of_error(check, name, State.OTHER, fault)
-            cause = f"the driver failed with {type(error).__name__} ({error})"
+            cause = message(f"the driver failed with {type(error).__name__} ({error})")
             return Finding(check, name, State.OTHER, cause, remedy="report it with the wire log")
 
     def _open(self, instrument: Instrument) -> None:
@@ -377,24 +379,27 @@ class CommissioningSession:
         """
         failures, after = self.watch.failures(mark, name), self._connection(name)
         if failures:
-            said = f"{found.said}, but its wire failed meanwhile ({failures[0]})"
+            said = message(f"{found.said}, but its wire failed meanwhile ({failures[0]})")
             return replace(found, instrument=name, state=State.OTHER, said=said, remedy=_CHECK_WIRE)
         if before is not None and after != before:
-            said = f"{found.said}, but one answer was garbled and was requested again"
+            said = message(f"{found.said}, but one answer was garbled and was requested again")
             return replace(found, instrument=name, state=State.OTHER, said=said, remedy=_CHECK_WIRE)
         exchanges = self.watch.exchanges(mark, name)
         if not by_answers or not exchanges or found.state is State.SLOWER:
             return found
         slowest = max(exchanges, key=lambda one: one.took_s)
         most_s = SLOW_PART * self.timeout_s(name)
-        figure = Figure("slowest answer", slowest.took_s, "s", f"given up after {self.timeout_s(name):g} s")
+        given_up = message(f"given up after {self.timeout_s(name):g} s")
+        figure = Figure("slowest answer", slowest.took_s, "s", given_up)
         found = replace(found, figures=(*found.figures, figure))
         if slowest.took_s <= most_s:
             return found
         return replace(
             found,
             state=State.SLOWER,
-            said=f"{found.said}, but the answer to {slowest.command} took {slowest.took_s:.2g} s",
-            remedy=f"find the cause of the delay, or set its timeout above {2.0 * slowest.took_s:.2g} s in "
-            "the bench file",
+            said=message(f"{found.said}, but the answer to {slowest.command} took {slowest.took_s:.2g} s"),
+            remedy=message(
+                f"find the cause of the delay, or set its timeout above {2.0 * slowest.took_s:.2g} s in "
+                "the bench file"
+            ),
         )
