@@ -22,14 +22,13 @@ CORRELATED: Final = (0.005, 0.02, 0.06)
 
 They are a factor of about three apart; longer ones resemble flicker noise.
 """
-WALKS: Final = (30.0, 3.0)
-"""Prior weights of a random walk and of one of the gain; other slow noise has 1, at each of `RATIOS`.
+WEIGHTS: Final = (30.0, 3.0, 600.0)
+"""Prior weights of a random walk and of one of the gain, at each of `RATIOS`, and of white noise alone.
 
-After a fit of zero and drift, other noise resembles a walk, but adds less to u. With equal weights, 82 to 87 % of
-the drifts under a walk are within 2 u; with these, 93 %. A drift of the gain is not fitted.
+Other slow noise has 1. After a fit of zero and drift, it resembles a walk, but adds less to u. With equal weights, 82
+to 87 % of the drifts under a walk are within 2 u; with these, 93 %. A drift of the gain is not fitted. Walks of all
+ratios together have about half the weight of white noise.
 """
-WHITE: Final = 20.0 * WALKS[0]
-"""Prior weight of white noise alone; walks of all `RATIOS` together have about half of it."""
 
 
 def slow_kernels(time_h: Floats) -> Iterator[Floats]:
@@ -120,8 +119,8 @@ class NoiseTrials:
         """ln of the prior weight of each trial noise, shape (s,), in the order of `whitened`."""
         kinds = np.ones((len(self.slow), len(RATIOS) - 1))
         walks = kinds[:: 2 + len(CORRELATED)]
-        walks.T[:] = WALKS[: len(walks)]
-        return np.asarray(np.log(np.append(WHITE, kinds)))
+        walks.T[:] = WEIGHTS[: len(walks)]
+        return np.asarray(np.log(np.append(WEIGHTS[-1], kinds)))
 
     def whitened(self, columns: Floats) -> Iterator[tuple[Noise, Floats]]:
         """Yield each trial noise (of white variance 1), and the columns (n, m) whitened by it."""

@@ -377,9 +377,8 @@ class Runner:
             self.people.asker.drain()
         if (control := self.people.controls.poll()) is None:
             return
-        repeated = (
-            self._index is None and control.wish is Wish.PAUSE
-        )  # a soak before the steps would begin again
+        # a pause in a soak before the steps would begin the soak again
+        repeated = self._index is None and control.wish is Wish.PAUSE
         why = message("no step is running yet") if repeated else self._why_not(control, self._index)
         if not why:
             raise raised(control)

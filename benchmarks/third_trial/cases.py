@@ -61,6 +61,11 @@ def main_case(seed: int, number: int) -> Case:
     return _case(seed, number, group, turn)
 
 
+def null_case(seed: int, number: int) -> Case:
+    """Return a case of the trial of nulls: a complete model; the kinds of noise as often as in the main trial."""
+    return _case(seed, number, "null", number)
+
+
 def form_case(seed: int, number: int) -> Case:
     """Return a case of the trial of forms: an effect outside the catalogue whose mean is not zero."""
     return _case(seed, number, "form", number)

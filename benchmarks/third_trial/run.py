@@ -2,7 +2,7 @@
 
     python -m benchmarks.third_trial --seed 11 --workers 2      # 1,000 cases: nothing, catalogue, outside
     python -m benchmarks.third_trial --short                    # 50 of each kind of trial
-    python -m benchmarks.third_trial --far --mistakes --forms   # other kinds of trial
+    python -m benchmarks.third_trial --far --mistakes --forms --nulls   # other kinds of trial
     python -m benchmarks.third_trial --output new --against old # each case beside that of another run
 
 Readings are made by the geometry, effects and noise of this package alone; the program receives them as tables
@@ -20,7 +20,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.campaign import arguments, spread
-from benchmarks.third_trial.cases import MISTAKES, Case, far_case, form_case, main_case, mistake_case
+from benchmarks.third_trial.cases import (
+    MISTAKES,
+    Case,
+    far_case,
+    form_case,
+    main_case,
+    mistake_case,
+    null_case,
+)
 from benchmarks.third_trial.program import diagnosed
 from benchmarks.third_trial.score import JUDGED, against, report
 
@@ -30,6 +38,7 @@ MAKERS: Final[dict[str, tuple[Callable[[int, int], Case], int]]] = {
     "far": (far_case, 200),
     "mistakes": (mistake_case, 20 * len(MISTAKES)),
     "forms": (form_case, 200),
+    "nulls": (null_case, 1000),
 }
 """The function that makes a case from a seed and a number, and the number of cases, by kind of trial."""
 
@@ -68,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         short=(False, "50 cases of each kind of trial"),
         cases=(int, "so many cases of each kind of trial"),
         far=(False, "files with something 8 to 40 u off"), mistakes=(False, "mistakes of procedure and wiring"),
-        forms=(False, "forms outside the catalogue, tried on a new day"),
+        forms=(False, "forms outside the catalogue, tried on a new day"), nulls=(False, "nothing is missing"),
         output=(Path("third-trial"), "folder of the lines"),
         against={"type": Path, "metavar": "FOLDER", "help": "compare each case with that of another run, exactly"},
     )  # fmt: skip

@@ -139,6 +139,7 @@ def form_marks(one: Record) -> Marks:
 
 JUDGED: Final[dict[str, Callable[[Record], Marks]]] = {
     "main": marks_of, "far": far_marks, "mistakes": mistake_marks, "forms": form_marks,
+    "nulls": marks_of,
 }  # fmt: skip
 BOUNDS: Final = {
     "failed": ("<=", 0.0), "null agrees": (">=", 0.99), "outside silent, mean form": ("<=", 0.03),

@@ -38,10 +38,11 @@ class Panel:
 
     def __call__(self, event):
         self.open.take(event)
-        if event.type != "asked":
-            return
+        if event.type not in {"asked", "wish_refused"} or self.open.prompt is None:
+            return  # a refused wish leaves its question open
         prompt = self.open.prompt.prompt
-        self.seen.append(prompt)
+        if event.type == "asked":
+            self.seen.append(prompt)
         key = next((key for key in self.instead if prompt.id.startswith(key)), None)
         if key is not None:
             leave_wish(self.folder, RunControl(self.instead.pop(key), "why", who=ANN))

@@ -16,7 +16,7 @@ from scipy.special import logsumexp
 from bench.base.arrays import CHANNELS, Floats, Ints, Mask
 from bench.calibration.design import Problem
 from bench.diagnosis.evidence import SIZES
-from bench.diagnosis.levels import FEW, HARDLY_EVER, MARK_DEG, OFTEN
+from bench.diagnosis.levels import FEW, HARDLY_EVER, MARK_DEG, OFTEN, ONE_DIRECTION
 from bench.diagnosis.mistakes.gross import SHEET_U, p_of, sheet_u
 from bench.diagnosis.mistakes.hypotheses import ProjectedReadings, Table
 from bench.diagnosis.noise_grid import RATIOS
@@ -31,8 +31,11 @@ decides. In 7 of 1,000 runs of the paper's length, noise distributed as Student'
 scale estimated a fifth too small) exceeds this size. An outlier of 20 times the noise still exceeds it if the
 noise is estimated 15 % too large.
 """
-SLIP_PART: Final = 0.01
-"""Relative u of the signal shift that a wrong setting causes; it allows for effects missing in the model."""
+SLIP_PART: Final = ONE_DIRECTION
+"""Relative u of the signal shift that a wrong setting causes: its direction is known within this angle, rad.
+
+It allows for effects missing in the model, too.
+"""
 
 
 @dataclass(frozen=True)
