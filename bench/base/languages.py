@@ -317,6 +317,8 @@ class Catalogue:
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
                     typed, blanks = _typed(entry.english), {name[1:]: one for name, one in values.items()}
                     told = {n: one if n in typed else self.translate(one) for n, one in blanks.items()}
+                    if " " not in (name := blanks.get("0", " ")) and entry.english.startswith("{0}: "):
+                        told["0"] = self._instrument(name)
                     return self.fill(entry, told)
         return None
 

@@ -174,7 +174,9 @@ class ShowResult(RunPart):
         if run.history.torn:
             out.print("record: the last line is incomplete; 'bench resume' drops it")
         for line in self.record.told:
-            out.print(line)
+            hashed = line.removeprefix("head: ")  # the record's last hash, not the dividing head
+            lead = "" if hashed == line else translated(message("head", "record"), "record") + ": "
+            out.print(Text(lead + translated(hashed)))
         for problem in self.problems if not wrong else ():
             out.print(problem, style="bold")
 

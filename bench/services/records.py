@@ -142,7 +142,7 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
     if head is not None and re.fullmatch(r"[0-9a-f]{64}", head.lower()) is None:
         raise Refused(f"--head {head}: give the SHA-256 of a line, 64 hexadecimal digits")
     given = None if key is None else seals.read_public_key(key)
-    told, problems = [message(f"head: {run.history.head}")], []
+    told, problems = [f"head: {run.history.head}"], []
     outside = False
     if head is not None:
         if head.lower() == run.history.head:

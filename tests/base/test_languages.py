@@ -263,3 +263,10 @@ def test_catalogue_is_sorted_by_what_tells_a_text_apart(ukrainian):
     )
     assert catalogue("uk").decimal == ","
     assert Path(translations.CATALOGUES / "uk.po").is_file()
+
+
+def test_a_name_before_a_colon_stays_unless_it_is_an_instrument():
+    with speaking("uk"):
+        assert translated("none: the run has no seal").startswith("none: ")
+        assert translated("none: no run of that name in runs").startswith("none: ")
+        assert translated("voltmeter.x: the run has no seal").startswith("вольтметр x: ")

@@ -117,6 +117,7 @@ def test_plans_and_evaluations_are_ukrainian_throughout(at_the_bench):
     )
     for seed in ("1", "2", "3"):
         at_the_bench(*QUICK[:-1], seed, "--seed", seed, "--bench", "my.yaml", "--unit", "CHECK-1", status=0)
+    assert "\nостанній хеш: " in at_the_bench("show", "1", "--verify", status=0)
     said = at_the_bench("chart", "runs", status=0)
     assert "у базі 1 сеанс: для такої кількості межі широкі" in said
     assert "під контролем" in said
