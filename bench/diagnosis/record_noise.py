@@ -25,9 +25,9 @@ They are a factor of about three apart; longer ones resemble flicker noise.
 WEIGHTS: Final = (30.0, 3.0, 600.0)
 """Prior weights of a random walk and of one of the gain, at each of `RATIOS`, and of white noise alone.
 
-Other slow noise has 1. After a fit of zero and drift, it resembles a walk, but adds less to u. With equal weights, 82
-to 87 % of the drifts under a walk are within 2 u; with these, 93 %. A drift of the gain is not fitted. Walks of all
-ratios together have about half the weight of white noise.
+Other slow noise has 1. After a fit of zero and drift, it resembles a walk, but adds less to u. With equal weights,
+82 to 87 % of the drifts under a walk are within 2 u; with these, 93 %. A drift of the gain is not fitted. Walks of
+all ratios together have about half the weight of white noise.
 """
 
 
