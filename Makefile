@@ -21,7 +21,7 @@ test: $(STAMP)
 test-quick: $(STAMP)
 	$(PYTEST) -m "not slow and not browser"
 
-# After a change of the diagnosis: simulates anew what the tests' designs need, which each `make test` would do else.
+# After a change of diagnosis or effects: simulates anew what the tests' designs need, which each `make test` would do else.
 thresholds: $(VENV)/.driving
 	rm -f tests/data/thresholds.json
 	BENCH_KEEP_THRESHOLDS=1 $(PYTEST)

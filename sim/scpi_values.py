@@ -380,8 +380,7 @@ _OUT_OF_RANGE: Final = -222
 class OutputList:
     """A list of outputs as a parameter; its value is the text, which `listed` converts to numbers."""
 
-    def __init__(self, optional: bool = True) -> None:
-        self.optional = optional
+    optional = True
 
     def parse(self, text: str) -> Value:
         """Return the text unchanged. Raises `ScpiError` -104 for a malformed list."""

@@ -30,13 +30,11 @@ class Plateau:
     """A temperature plateau that was reached from one side.
 
     `temperature_c` is the mean over its readings. `branch` is +1 if it was reached from below, -1 from above, 0 if
-    it was the first after mounting. `level` numbers the temperatures from the lowest, the same for both branches.
-    `rows` is a mask over the readings.
+    it was the first after mounting. `rows` is a mask over the readings.
     """
 
     temperature_c: float
     branch: int
-    level: int
     rows: Mask
 
 
@@ -63,7 +61,7 @@ class ThermalReadings:
                 rows = (self.level == level) & (self.branch == branch)
                 if np.any(rows):
                     mean = float(np.mean(self.rows.temperature_c[rows]))
-                    found.append(Plateau(mean, branch, level, rows))
+                    found.append(Plateau(mean, branch, rows))
         return tuple(found)
 
     @property

@@ -154,7 +154,6 @@ class RunReference:
     run: str
     events: int
     head: str
-    manifest_sha256: str
     seal: str
     sealed: str
 

@@ -245,7 +245,6 @@ def _record(run: Run) -> RunReference:
         run.name,
         int(head["events"]),
         str(head["head"]),
-        stated.manifest_sha256,
         to_text(stated.to_json()),
         stated.sealed,
     )

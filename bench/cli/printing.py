@@ -279,7 +279,7 @@ EVERY_S: Final = 30.0
 
 
 @contextmanager
-def in_lines(clock: Clock | None = None) -> Iterator[None]:
+def in_lines() -> Iterator[None]:
     """Print progress as lines on standard error, for the log of a long computation.
 
     A line is printed at most every 30 s, none if standard error is a terminal or with `--quiet`.
@@ -287,7 +287,7 @@ def in_lines(clock: Clock | None = None) -> Iterator[None]:
     if sys.stderr.isatty() or quiet.get():
         yield
         return
-    clock = clock or SystemClock()
+    clock = SystemClock()
     began_s = said_s = clock.now_s()
 
     def hear(what: str, done: int, total: int) -> None:

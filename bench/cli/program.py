@@ -48,19 +48,19 @@ def main() -> None:
         if isinstance(stop.__context__, SystemExit):
             raise stop.__context__ from None  # Ctrl-C came while the program was exiting: keep its status
         print(f"bench: {_SAID}", file=sys.stderr)
-        _leave(_STOPPED)
+        _leave()
     except SystemExit as end:
         if end.code == _STOPPED and Interrupts.heard:
-            _leave(_STOPPED)
+            _leave()
         raise
 
 
-def _leave(status: int) -> None:
+def _leave() -> None:
     """End the process at once, without the slow teardown of imported modules."""
     for stream in (sys.stdout, sys.stderr):
         with suppress(Exception):  # the terminal may have been closed
             stream.flush()
-    os._exit(status)
+    os._exit(_STOPPED)
 
 
 def _once(number: int, frame: FrameType | None) -> None:

@@ -29,7 +29,7 @@ from bench.run.record import is_being_written
 from bench.services.errors import Refused, sentence
 from bench.services.persons import STARTED_FROM
 from bench.services.requests.measuring import RunRequest
-from drivers.clock import Clock, SystemClock, utc_now
+from drivers.clock import SystemClock, utc_now
 
 BENCH: Final = ("-c", "from bench.cli.program import main; main()")
 NAP_S: Final = 0.05
@@ -69,9 +69,9 @@ def start(arguments: Sequence[str], log: Path, *, program: Sequence[str] = BENCH
     return Started(process, log)
 
 
-def wait_until(begun: Callable[[], bool], started: Started, clock: Clock | None = None) -> bool:
+def wait_until(begun: Callable[[], bool], started: Started) -> bool:
     """Wait until `begun()` is True; return False after 30 s. Raises `Refusal` if the process ends before that."""
-    clock = clock or SystemClock()
+    clock = SystemClock()
     until_s = clock.now_s() + LONGEST_START_S
     while not begun():
         if (status := started.status) is not None:

@@ -49,9 +49,8 @@ _OF_ONE_MOUNTING: Final = 9
 class TimeOutlook:
     """Simulated runs, (draws,) each: bench time (s), number of settings, and whether the goals were reached.
 
-    `whole_s` is the duration of the whole plan, `whole` its number of points. `scale` is the ratio of the
-    noise to that of the `Stand`; `learned` says whether the `Stand` has its noise from past runs of the
-    bench. `has_goal` is False if only a time limit was given.
+    `whole_s` is the duration of the whole plan, `whole` its number of points. `learned` says whether the `Stand`
+    has its noise from past runs of the bench. `has_goal` is False if only a time limit was given.
     """
 
     time_s: Floats
@@ -59,7 +58,6 @@ class TimeOutlook:
     reached: Floats
     whole_s: float
     whole: int
-    scale: float
     has_goal: bool = True
     learned: bool = False
 
@@ -68,19 +66,19 @@ class TimeOutlook:
         return [float(q) for q in np.quantile(values, QUANTILES, method="inverted_cdf")]
 
 
-def time_outlook(chooser: Chooser, scale: float = 1.0, draws: int = DRAWS, seed: int = 1) -> TimeOutlook:
-    """Return the results of `draws` simulated runs with `scale` times the noise of the chooser's `stand`."""
-    rng = np.random.default_rng(seed)
+def time_outlook(chooser: Chooser, draws: int = DRAWS) -> TimeOutlook:
+    """Return the results of `draws` simulated runs with the noise of the chooser's `stand`."""
+    rng = np.random.default_rng(1)
     known: dict[Any, NextPoints] = {}
-    drawn = [_run(chooser, scale, rng, known) for _ in range(draws)]
+    drawn = [_run(chooser, rng, known) for _ in range(draws)]
     columns = np.array(drawn, dtype=np.float64).T
     pool = chooser.pool
     has_goal = any(wanted.goal.asked > NO_GOAL for wanted in chooser.aim.wanted)
-    return TimeOutlook(columns[0], columns[1], columns[2], pool.time_s, pool.count, scale, has_goal)
+    return TimeOutlook(columns[0], columns[1], columns[2], pool.time_s, pool.count, has_goal)
 
 
 def _run(
-    chooser: Chooser, scale: float, rng: np.random.Generator, known: dict[Any, NextPoints]
+    chooser: Chooser, rng: np.random.Generator, known: dict[Any, NextPoints]
 ) -> tuple[float, float, bool]:
     """Simulate one run; return its time, s, its number of settings, and whether it reached the goals."""
     standing = Standing()
@@ -105,7 +103,7 @@ def _run(
         spent_s += choice.next_s
         for sums, dof in zip((repeated, other), _freedom(done), strict=True):
             if (more := dof - sums[1]) > 0:
-                np.add(sums, (scale**2 * rng.chisquare(more), more), out=sums)
+                np.add(sums, (rng.chisquare(more), more), out=sums)
         standing = _after(chooser, standing, choice, done, (repeated, other), spent_s)
 
 
@@ -333,14 +331,13 @@ def _ranges(steps: frozenset[int]) -> list[list[int]]:
 class Chooser:
     """Chooses the points of `pool` that reach the goals `aim` on the bench `stand`.
 
-    At least `repeats` of the chosen points repeat mounting, angle and direction of approach of another point.
+    At least `LEAST_REPEATS` of the chosen points repeat mounting, angle and direction of approach of another point.
     """
 
-    def __init__(self, pool: Pool, aim: Aim, stand: Stand, repeats: int = LEAST_REPEATS) -> None:
+    def __init__(self, pool: Pool, aim: Aim, stand: Stand) -> None:
         self.pool = pool
         self.aim = aim
         self.stand = stand
-        self.repeats = repeats
         self._grids: dict[frozenset[Site], Grid] = {}
 
     def choose(self, standing: Standing) -> NextPoints:
@@ -418,7 +415,7 @@ class Chooser:
             standing.scale.size,
             np.array([seconds.get(site, 0.0) for site in grid.sites]),
             {visit.mount: visit.time_s for visit in visits},
-            self.repeats,
+            LEAST_REPEATS,
             limit_s,
         )
 

@@ -140,14 +140,9 @@ _SHIPPED: Final[Mapping[str, str]] = {
 
 @dataclass(frozen=True)
 class Remedy:
-    """An additional measurement, described in `text`.
-
-    `determines` is the number of undetermined directions (of the fit's null space) that it resolves; `cost_s`
-    is its bench time, s.
-    """
+    """An additional measurement, described in `text`; `cost_s` is its bench time, s."""
 
     text: str
-    determines: int
     cost_s: float
 
 
@@ -195,9 +190,8 @@ def outlook(settings: Sequence[Setting], model: ForwardModel, block: Block, cost
         wider = ForwardModel({**model.installations, THIRD.label: THIRD}, model.effects, model.name)
         for more in _menu(settings, model, cost):
             then = _observability([*own, *more.settings], more.modulus, wider, block)
-            closed = found.null.shape[1] - _open_of(then, found.names)
-            if closed:
-                remedies.append(Remedy(more.text, closed, more.cost_s))
+            if _open_of(then, found.names) < found.null.shape[1]:
+                remedies.append(Remedy(more.text, more.cost_s))
     return Outlook(found, tuple(sorted(remedies, key=lambda r: r.cost_s)))
 
 

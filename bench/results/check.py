@@ -135,7 +135,7 @@ def until_part(found: TimeOutlook) -> UntilPart:
     """Return the part of a result on the duration of a run that stops at its goals."""
     return UntilPart(
         draws=len(found.time_s),
-        noise_of_stated=found.scale,
+        noise_of_stated=1.0,
         quantiles=list(QUANTILES),
         time_s=found.quantiles(found.time_s),
         settings=found.quantiles(found.settings),

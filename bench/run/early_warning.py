@@ -120,7 +120,7 @@ class EarlyWarning:
         self._stand_u = dict(stand_u)
         terms = np.where(np.eye(3) == 1, SCALE_FACTOR_U, CROSS_AXIS_U) * scale[:, None]
         self._prior = Expectation.about(self._nominal, np.concatenate([terms.ravel(), BIAS_U_G * scale]))
-        self._state = self._prior.member(0)
+        self._state = self._prior.repeated(1)
         reading_v = max(stand_u.get("voltmeter_error", 0.0), LEAST_NOISE_G * float(np.min(scale)))
         self._repeats = RepeatNoise(NoiseSizes(reading_v, stand_u.get("setting_error", 0.0)))
         self._learnt_with = self._repeats.sizes

@@ -163,10 +163,6 @@ class Expectation:
             np.repeat(self.mean[:1], members, axis=0), np.repeat(self.covariance[:1], members, axis=0)
         )
 
-    def member(self, index: int) -> Expectation:
-        """Return an expectation with only the member of this index."""
-        return Expectation(self.mean[index : index + 1].copy(), self.covariance[index : index + 1].copy())
-
     @property
     def scale_factors(self) -> Floats:
         """The matrices K, V/g, shape (m, 3, 3)."""

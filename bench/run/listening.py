@@ -75,9 +75,8 @@ class WishListener(Controls):
     As a context, it interrupts the main thread at a wish to stop.
     """
 
-    def __init__(self, controls: ControlFile, interrupt: Callable[[], None] = interrupt_main) -> None:
+    def __init__(self, controls: ControlFile) -> None:
         self._controls = controls
-        self._interrupt = interrupt
         self._waiting: deque[RunControl] = deque()
         self._taking = threading.Lock()
         self._over = threading.Event()
@@ -102,7 +101,7 @@ class WishListener(Controls):
     def _listen(self) -> None:
         while not self._over.wait(LISTEN_S):
             if self._take_in() is not None:
-                self._interrupt()
+                interrupt_main()
 
     def _take_in(self) -> RunControl | None:
         """Read the new wishes; return a wish to stop, ahead of all other wishes, or None."""

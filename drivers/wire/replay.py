@@ -159,7 +159,6 @@ class Exchange:
     line: int
     sent: str | None
     answered: str | BaseException | None
-    sent_at: datetime
     answered_at: datetime | None
 
 
@@ -218,11 +217,11 @@ def exchanges(lines: Iterable[Logged]) -> list[Exchange]:
     for entry in lines:
         answer = entry.failure or entry.data.decode("ascii", "backslashreplace")
         if entry.way == ">":
-            made.append(Exchange(entry.line, str(answer), None, entry.time, None))
+            made.append(Exchange(entry.line, str(answer), None, None))
         elif made and (entry.when == AFTER_SENDING or (entry.way == "<" and made[-1].answered is None)):
             made[-1] = replace(made[-1], answered=answer, answered_at=entry.time)
         else:
-            made.append(Exchange(entry.line, None, answer, entry.time, entry.time))
+            made.append(Exchange(entry.line, None, answer, entry.time))
     return made
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import TYPE_CHECKING, Final, Protocol
 
-from drivers.clock import Clock, SystemClock
+from drivers.clock import SystemClock
 
 if TYPE_CHECKING:
     import socket
@@ -355,7 +355,6 @@ class Session:
         transport: Transport,
         instrument: ServedInstrument,
         on_refuse: Callable[[float], None],
-        clock: Clock | None = None,
     ) -> None:
         self.doing = Doing.LISTENING
         self.source = transport.source
@@ -363,7 +362,7 @@ class Session:
         self._instrument = instrument
         self._traffic = instrument.traffic
         self._on_refuse = on_refuse
-        self._clock = clock or SystemClock()
+        self._clock = SystemClock()
         self._silent_since_s: float | None = None
         self._left = False
         ends = line_ends_of(instrument.dialect)

@@ -144,7 +144,7 @@ class ScriptedOperator:
         With `backoff_rad`, for a head that an encoder reads, the operator first turns it to twice `backoff_rad`
         before the angle.
         """
-        generator = self._generator("turn", prompt_id.partition("#")[0])
+        generator = self._generator(prompt_id.partition("#")[0])
         generator.normal()  # skip the setting error, so that the next number is the duration, as in `_turn`
         duration_s = float(generator.uniform(*self._settings.turn_time_s))
         if backoff_rad is not None:
@@ -156,7 +156,7 @@ class ScriptedOperator:
     def _turn(self, prompt: Prompt, action: TurnHead) -> str:
         step, _, attempt = prompt.id.partition("#")
         settings = self._settings
-        generator = self._generator("turn", step)
+        generator = self._generator(step)
         deviation_rad = float(generator.normal(0.0, settings.setting_deviation_rad))
         duration_s = float(generator.uniform(*settings.turn_time_s))
         set_rad = self._on_scale(action["target_rad"] + deviation_rad)
@@ -199,8 +199,8 @@ class ScriptedOperator:
             self._world.clock.sleep(REST_LOOK_S)
             self.meanwhile()
 
-    def _generator(self, purpose: str, step: str) -> np.random.Generator:
-        return keyed_generator(self._world.settings.seed, "operator", purpose, step)
+    def _generator(self, step: str) -> np.random.Generator:
+        return keyed_generator(self._world.settings.seed, "operator", "turn", step)
 
     def _pass_time(self, duration_s: float) -> None:
         clock = self._world.clock

@@ -8,8 +8,6 @@ import pytest
 from bench.base.numbers import rounded
 from tests.support.browser_runs import Begun, answer_by_keys, answer_on, prompt_of, tab_to, typed_for
 
-NOT_OF_THE_RUN = {"time", "prev", "by", "role", "where", "line", "n", "id"}
-
 
 @pytest.fixture
 def begin(panel):

@@ -80,7 +80,6 @@ class Procedure:
     name: str
     title: str
     files: tuple[Path, ...]
-    sha256: str
     plan: Plan
 
     def expand(self) -> Plan:
@@ -112,7 +111,7 @@ def _loaded(path: Path, content: bytes | None) -> Procedure:
         raise FileMistakes(path, sorted(set(found), key=_in_order))
     name = root.procedure or path.stem
     plan = Plan(name, steps, tree.sha256, root.operator_time.to_plan())
-    return Procedure(name, root.title, tuple(d.path for d in tree.documents.values()), tree.sha256, plan)
+    return Procedure(name, root.title, tuple(d.path for d in tree.documents.values()), plan)
 
 
 def _in_order(mistake: FileMistake) -> tuple[str, int, str, str]:

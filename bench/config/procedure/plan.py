@@ -79,10 +79,6 @@ class Plan:
         found = Counter(type(step) for step in self.steps)
         return {kind.NAME: found[kind] for kind in KINDS if found[kind]}
 
-    def operator_actions(self) -> int:
-        """Return the number of steps that need the operator on a bench without motors."""
-        return sum(step.BY_OPERATOR for step in self.steps)
-
     @cached_property
     def mountings(self) -> tuple[int, ...]:
         """For each step, the number of mountings up to it."""

@@ -180,13 +180,13 @@ def test_an_included_file_stands_where_it_is_included(load, tmp_path):
     assert [path.name for path in procedure.files] == ["p.yaml", "part.yaml", "own.yaml"]
     before = procedure.expand().hash
     changed = load(body, part=part + "# a comment\n", own=own).expand()
-    assert changed.procedure_sha256 != procedure.sha256
+    assert changed.procedure_sha256 != procedure.plan.procedure_sha256
     assert changed.hash != before
 
 
 def test_the_hash_of_a_single_file_is_its_own():
     path = find_procedure("paper")
-    assert load_procedure(path).sha256 == sha256_of_file(path)
+    assert load_procedure(path).plan.procedure_sha256 == sha256_of_file(path)
 
 
 def test_mistakes_in_included_files_name_file_and_line(mistakes):

@@ -143,7 +143,7 @@ def test_counts_and_times():
     assert PLAN.counts() == {
         "mount": 1, "turn": 1, "wait": 1, "settle": 2, "read": 2, "input": 2, "ask": 2, "temperature": 1,
     }  # fmt: skip
-    assert PLAN.operator_actions() == 7
+    assert sum(step.BY_OPERATOR for step in PLAN.steps) == 7
     reading_s = (10 + 5) * (2 * 10 / 50)
     times = PLAN.duration_by_kind_s(line_hz=50.0)
     assert list(times) == list(PLAN.counts())

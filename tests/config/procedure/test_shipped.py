@@ -72,7 +72,7 @@ def test_the_papers_procedure_is_the_papers():
     assert isinstance(plan.steps[0], Wait)
     assert plan.steps[0].duration_s == 3600.0
     assert plan.counts() == {"mount": 3, "turn": 58, "wait": 59, "read": 58}
-    assert plan.operator_actions() == 61
+    assert sum(step.BY_OPERATOR for step in plan.steps) == 61
 
 
 def test_the_second_pass_of_the_default_is_falling_and_points_keep_their_angles():
