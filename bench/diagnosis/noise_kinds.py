@@ -36,13 +36,8 @@ from bench.diagnosis.posterior import NoiseSize, posterior, whiten_rows
 from bench.readings.table import Readings
 from bench.stats.repeats_likelihood import believed_sizes
 
-LOG_PRIOR: Final = {
-    **dict.fromkeys(("channels", "runs", "place", "tails", "reference"), math.log(0.1)), "slow": math.log(0.5),
-}  # fmt: skip
-"""ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size.
-
-Slow noise is more probable: most instruments have some, and what goes unnoticed looks like an effect.
-"""
+LOG_PRIOR: Final = dict.fromkeys(("channels", "runs", "place", "tails", "slow", "reference"), math.log(0.1))
+"""ln of the prior odds of each kind of noise against ordinary noise, which is normal and has one size."""
 TAIL_DOF: Final = 4.0
 """Degrees of freedom of the t distribution of heavy tails: clearly not normal, and of finite variance."""
 SIZES: Final = tuple(np.geomspace(0.05, 20.0, 61))
