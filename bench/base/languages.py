@@ -106,6 +106,7 @@ _WORDS: Final = re.compile(r"[^\W\d_²³]+")
 _UNITS: Final = frozenset({
     *"VgmshdAKCWkpuUnerσχxyz", "Δg", "mV", "µV", "nV", "mg", "µg", "ng", "ms", "min", "°C", "mA", "kHz", "Hz",
     "ppm", "kB", "MB", "GB", "rad", "mrad", "µrad", "arcsec", "mm", "µm", "counts",
+    "bx", "by", "bz",  # the intrinsic biases, beside their values
 })  # fmt: skip
 
 
@@ -375,6 +376,7 @@ def texts_for_scripts(name: str) -> str:
         "language": name,
         "decimal": found.decimal,
         "units": sorted(_UNITS),
+        "instruments": [one.english for one in found.entries if "names-shown" in one.files],
         "sure": _SURE,
         "short": _SHORT,
         "patterns": {name: pattern.pattern for name, pattern in patterns.items()},

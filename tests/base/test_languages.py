@@ -270,3 +270,8 @@ def test_a_name_before_a_colon_stays_unless_it_is_an_instrument():
         assert translated("none: the run has no seal").startswith("none: ")
         assert translated("none: no run of that name in runs").startswith("none: ")
         assert translated("voltmeter.x: the run has no seal").startswith("вольтметр x: ")
+
+
+def test_the_bias_by_is_no_word():
+    with speaking("uk"):
+        assert translated("bx +19.1 u, by +17.3 u") == "bx +19,1 u, by +17,3 u"

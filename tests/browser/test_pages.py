@@ -253,6 +253,7 @@ def test_a_script_translates_as_the_module_does(chromium):
         "voltmeter.y: ADDRESS was not found, at the command FETC?",
         "Use the model: bench calibrate 2026.12 --model head",
         "It is warm. 44 °C: 21 °C from the 23 °C set. Is that right?",
+        "untouched: ADDRESS was not found, at the command FETC?",
         "operator: the input ended before an answer to: Read it. Type it.; resume the run and answer it",
     ]
     page = chromium.new_page()

@@ -3,7 +3,7 @@
 const _ = (() => {
   const told = window.BENCH_TEXTS;
   if (!told) return (text) => text;
-  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units);
+  const BLANK = /\{(\d+)\}/, UNITS = new Set(told.units), INSTRUMENTS = new Set(told.instruments);
   const AROUND = new RegExp(`^${told.patterns.around}$`, "su"), SENTENCE = new RegExp(told.patterns.sentence, "u");
   const CLAUSE = new RegExp(told.patterns.clause, "u"), WORD = new RegExp(told.patterns.word, "gu");
   const TYPED = new RegExp(told.patterns.typed, "gu");  // values of blanks in a command or path stay as they are
@@ -36,6 +36,7 @@ const _ = (() => {
     const form = forms.length > 1 ? forms[FORMS[rules.select(Number(count === undefined ? 2 : count))]] : forms[0];
     return form.replace(/\{(\d+)\}/g, (whole, name) => (name in values ? values[name] : whole));
   };
+  const named = (name) => (INSTRUMENTS.has(name) ? say(name) : name);  // the name of a run stays
   const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
   const copied = (text, surely = true, clauses = false) => {
     for (const { names, typed, pattern, forms, sure, first } of filled) {
@@ -53,7 +54,7 @@ const _ = (() => {
     const colon = text.indexOf(": ");
     if (whole || colon < 0 || text.slice(0, colon).includes(" ")) return whole || text;
     const rest = text.slice(colon + 2), told = part(rest);  // an instrument and its fault
-    return told === rest ? text : `${say(text.slice(0, colon))}: ${told}`;
+    return told === rest ? text : `${named(text.slice(0, colon))}: ${told}`;
   };
   const foreign = (text) => (text.match(WORD) || []).some((word) => !UNITS.has(word)) && part(text) === text;
   const settled = (text) => !text.trim().includes(" ") || !foreign(text);
@@ -75,7 +76,7 @@ const _ = (() => {
     const at = text.indexOf(": "), rest = text.slice(at + 2);
     if (at < 0 || text.slice(0, at).includes(" ")) return null;
     const told = known(rest) || copied(rest) || fault(rest);
-    return told && `${say(text.slice(0, at))}: ${told}`;
+    return told && `${named(text.slice(0, at))}: ${told}`;
   };
   const found = (text) => {
     if (numeric(text)) return number(text);
