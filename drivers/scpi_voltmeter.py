@@ -11,7 +11,7 @@ import math
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, Literal
 
@@ -45,6 +45,10 @@ _POWER_ON: Final = 128
 _ERRORS: Final = 4 | 8 | 16 | 32  # query, device, execution, command
 
 _PATIENCE: Final = 1.5
+
+
+_ASKED_AGAIN: Final = ("FUNC?", "RANG?", "NPLC?")
+"""Ends of the queries that are asked after each reading: a wrong answer means a wrong number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,6 +238,7 @@ class ScpiVoltmeter(ABC):
             )
         reply = self._fetch(settings)
         self._refuse_interruption()
+        self._refuse_other_settings(settings)
         values = tuple(float(text) for text in reply.rstrip(",").split(","))
         # A scan reads every channel once, so the samples of the channels are interleaved.
         signals = {
@@ -374,6 +379,16 @@ class ScpiVoltmeter(ABC):
             )
         if events & _ERRORS:
             self._refuse(self._errors(), message("reports errors with a reading"))
+
+    def _refuse_other_settings(self, settings: VoltmeterSettings) -> None:
+        """Raise `InstrumentRefused` if function, range or integration are no longer as `configure` proved them.
+
+        Another program or a key at the meter changes them without an error.
+        """
+        again = [one for one in self._setup(settings) if one.question.split()[0].endswith(_ASKED_AGAIN)]
+        if troubles := [phrase for one in again for phrase in self._set(replace(one, command=None))]:
+            self._connection = None
+            self._refuse(troubles, message("no longer has its settings"))
 
 
 def _plain(wanted: str | float | tuple[float, ...]) -> str:

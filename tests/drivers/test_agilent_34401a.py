@@ -1,11 +1,13 @@
 """The 34401A driver against the manual's text, as pairs of (sent, answered)."""
 
+import re
+
 import pytest
 
 from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.interfaces import BadReading, Identity, InstrumentRefused, VoltmeterSettings
 from drivers.wire.visa import SerialSettings
-from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped
+from tests.support.scripted_session import Clock, Pairs, ScriptedSession, swapped, until
 
 NAME = "voltmeter.y"
 TEN_VOLTS = VoltmeterSettings(range_v=10.0, nplc=10.0, samples=2)
@@ -30,7 +32,10 @@ CONFIGURE: Pairs = [
     ("SAMP:COUN?", "+2.00000000E+00"),
     ("SYST:ERR?", '+0,"No error"'),
 ]
-READ: Pairs = [("INIT", None), ("FETC?", "+1.52345670E+00,-1.00000000E-04"), ("*ESR?", "+0")]
+PROVEN: Pairs = [
+    ("FUNC?", '"VOLT"'), ("VOLT:DC:RANG?", "+1.000000E+01"), ("VOLT:DC:NPLC?", "+1.000000E+01"),
+]  # fmt: skip
+READ: Pairs = [("INIT", None), ("FETC?", "+1.52345670E+00,-1.00000000E-04"), ("*ESR?", "+0"), *PROVEN]
 
 
 def meter(script: ScriptedSession, clock: Clock | None = None, interface: str = "lan") -> Agilent34401A:
@@ -116,6 +121,7 @@ def test_overload_names_channel_range_and_remedy(value: str) -> None:
             ("FETC?", f"+1.00000000E+00,{value}"),
             ("*ESR?", "+8"),
             ("SYST:ERR?", '+0,"No error"'),
+            *PROVEN,
         ]
     )
     m.start()
@@ -159,11 +165,28 @@ def test_a_new_connection_proves_identity_and_settings_before_the_next_reading()
 
 def test_errors_that_come_with_a_reading_are_reported() -> None:
     m, _ = ready(
-        swapped(READ, "*ESR?", "+16"), [("SYST:ERR?", '-213,"Init ignored"'), ("SYST:ERR?", '+0,"No error"')]
+        swapped(until(READ, "*ESR?"), "*ESR?", "+16"),
+        [("SYST:ERR?", '-213,"Init ignored"'), ("SYST:ERR?", '+0,"No error"')],
     )
     m.start()
     with pytest.raises(InstrumentRefused, match="Init ignored"):
         m.fetch()
+
+
+@pytest.mark.parametrize(
+    ("question", "reply"),
+    [("FUNC?", '"VOLT:AC"'), ("VOLT:DC:RANG?", "+1.000000E+02"), ("VOLT:DC:NPLC?", "+2.000000E-02")],
+)
+def test_a_reading_with_settings_of_somebody_else_is_refused_and_the_next_one_sets_them(
+    question: str, reply: str
+) -> None:
+    m, script = ready(swapped(READ, question, reply), IDENTIFY, CONFIGURE, READ)
+    m.start()
+    with pytest.raises(InstrumentRefused, match=re.escape(f"{question} answers {reply}, not")):
+        m.fetch()
+    m.start()
+    assert m.fetch() == {"y": (1.5234567, -1e-4)}
+    assert script.left == []
 
 
 # --- RS-232 -----------------------------------------------------------------------------------------

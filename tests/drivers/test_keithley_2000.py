@@ -42,7 +42,10 @@ def fetched(*replies: tuple[str, str | None]) -> dict[str, tuple[float, ...]]:
 
 def test_a_reading_comes_out_of_the_buffer_when_it_is_full() -> None:
     reply = "+1.23456789E-03,-1.23456700E-03"
-    assert fetched(("*WAI;:TRAC:DATA?", reply), ("*ESR?", "0")) == {"x": (1.23456789e-3, -1.234567e-3)}
+    proven = [one for one in SETUP if one[0] in {"FUNC?", "VOLT:DC:RANG?", "VOLT:DC:NPLC?"}]
+    assert fetched(("*WAI;:TRAC:DATA?", reply), ("*ESR?", "0"), *proven) == {
+        "x": (1.23456789e-3, -1.234567e-3)
+    }
 
 
 @pytest.mark.parametrize(

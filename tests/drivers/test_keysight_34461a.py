@@ -31,6 +31,9 @@ def exchange(autozero: str, impedance: str, samples: int = 2) -> Pairs:
         ("INIT", None),
         ("FETC?", ",".join(["+6.27530000E-01"] * samples)),
         ("*ESR?", "+0"),
+        ("FUNC?", '"VOLT"'),
+        ("VOLT:DC:RANG?", "+1.00000000E+01"),
+        ("VOLT:DC:NPLC?", "+1.00000000E+02"),
     ]
 
 

@@ -46,7 +46,16 @@ CONFIGURE: Pairs = [
     ("SYST:ERR?", '+0,"No error"'),
 ]
 SIX = "+1.00000000E+00,+2.00000000E+00,+3.00000000E+00,+1.10000000E+00,+2.10000000E+00,-3.10000000E+00"
-READ: Pairs = [("INIT", None), ("FETC?", SIX), ("*ESR?", "+0")]
+READ: Pairs = [
+    ("INIT", None),
+    ("FETC?", SIX),
+    ("*ESR?", "+0"),
+    *(
+        (question, reply)
+        for question, reply in CONFIGURE
+        if question.startswith(("FUNC?", "VOLT:DC:RANG?", "VOLT:DC:NPLC?"))
+    ),
+]
 
 
 XYZ = {"x": 101, "y": 102, "z": 103}

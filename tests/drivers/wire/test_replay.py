@@ -342,7 +342,7 @@ def test_what_the_driver_leaves_over_or_lets_pass_is_a_deviation(tmp_path: Path)
     )
     log = altered(tmp_path, "voltmeter.x < +0\n", "voltmeter.x < +32\n")  # an error with a reading
     assert deviation(log, "voltmeter.x", read_twice).endswith(
-        "'> INIT' was expected, but '> SYST:ERR?' was sent"
+        "'> FUNC?' was expected, but '> SYST:ERR?' was sent"
     )
     with pytest.raises(ValueError, match="the test's own"), replayed(SAMPLE, "head"):
         raise ValueError("the test's own")
