@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.files import read_json, read_regular, write_whole
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
@@ -296,9 +297,9 @@ def _clock_set_back(register: Register, issue: Issue) -> Iterator[str]:
     entries = [one.entry for one in register.standings.values() if one.state == ISSUED]
     latest = max(entries, key=lambda entry: entry.time[:10], default=None)
     if latest is not None and issue.day < latest.time[:10]:
-        yield (
+        yield message(
             f"the day of issue (7.8.2.1 j): this computer's clock shows {issue.day}, but {latest.number} was "
-            f"issued on {latest.time[:10]}; set the clock, or if that day is wrong, revoke {latest.number}"
+            f"issued on {latest.time[:10]} (set the clock or, if that day is wrong, revoke {latest.number})"
         )
 
 
