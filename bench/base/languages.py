@@ -136,6 +136,7 @@ _TYPED: Final = re.compile(
     r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
     r"|(?:shipped|latest|latest runs) are: .*|^\{0\}: assumed from plausible"
     r"|^[✓✗] \{0\}(?= is )"
+    r"|^\{0\}(?=: U = K a)|run 'as_found', \{0\}"
     r"|^\{0\}(?=: \{1\}: (?:worst|\{2\}; correct it))|(?:bench file|^Tumble|^Calibration) of \{0\}"
 )
 """The parts of an entry whose blanks hold what is typed or quoted (command, path, key, run): their values stay."""

@@ -101,35 +101,37 @@ def missing(certificate: Certificate) -> tuple[str, ...]:
 def _missing(certificate: Certificate) -> Iterator[str]:
     found, order, unit = certificate.found, certificate.order, certificate.unit
     if certificate.laboratory is None:
-        yield "the laboratory, its address and place (7.8.2.1 b, c): --laboratory FILE"
+        yield message("the laboratory, its address and place (7.8.2.1 b, c): --laboratory FILE")
     if order is None:
-        yield "the customer, receipt and condition of the unit (7.8.2.1 e, g, h): --order FILE"
+        yield message("the customer, receipt and condition of the unit (7.8.2.1 e, g, h): --order FILE")
     elif unit is None:
-        yield f"unit {found.item.serial!r} in the order file (7.8.2.1 g, h): its receipt, condition and state"
+        yield message(
+            f"unit {found.item.serial!r} in the order file (7.8.2.1 g, h): its receipt, condition and state"
+        )
     if not found.item.serial:
-        yield "the serial number of the unit (7.8.2.1 g): missing in the record"
+        yield message("the serial number of the unit (7.8.2.1 g): missing in the record")
     if not any(one.key == "temperature" for one in found.conditions):
-        yield "the temperature during the calibration (7.8.4.1 b): missing in every reading"
+        yield message("the temperature during the calibration (7.8.4.1 b): missing in every reading")
     if (
         (names := certificate.uncertified)
         and not found.simulated
         and (order is None or order.without_certificates is None)
     ):
-        yield (
+        yield message(
             f"the traceability of {', '.join(names)} (7.8.4.1 c): state certificates that are valid "
             "on the day of the run in the bench file before it, or the agreement as "
             "'without_certificates' in the order file"
         )
     yield from _missing_before(certificate)
     if doubts := found.result.doubts:
-        yield (
+        yield message(
             f"agreement with the data sheet: {'; '.join(doubts)}; correct wiring or labels and measure again; if "
             "'scale_factors' of the bench file are wrong, correct them, 'bench export' the readings and 'bench "
             "import' them with this bench file"
         )
     calibrated = certificate.calibrated
     if calibrated is None:
-        yield (
+        yield message(
             "the days of the calibration (7.8.2.1 i): missing in the readings; state 'calibrated' for the "
             "unit in the order file"
         )
@@ -138,27 +140,31 @@ def _missing(certificate: Certificate) -> Iterator[str]:
     if certificate.as_found is not None and certificate.as_found.days is not None:
         begun = min(begun, certificate.as_found.days[0])
     if unit is not None and unit.received > begun:
-        yield f"a day of receipt (7.8.2.1 h) before the calibration: {unit.received} is after {begun}"
+        yield message(
+            f"a day of receipt (7.8.2.1 h) before the calibration: {unit.received} is after {begun}"
+        )
     elif certificate.issue is not None and certificate.issue.day < str(ended):
-        yield f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
+        yield message(
+            f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
+        )
 
 
 def _missing_before(certificate: Certificate) -> Iterator[str]:
     found, before = certificate.found, certificate.as_found
     if before is None:
         return
-    what = f"results before the adjustment (7.8.4.1 d): the run 'as_found', {before.record.run},"
+    what = message(f"results before the adjustment (7.8.4.1 d): the run 'as_found', {before.record.run},")
     if before.record.head == found.record.head:
-        yield f"{what} is the calibrated run itself"
+        yield message(f"{what} is the calibrated run itself")
     elif before.simulated != found.simulated:
-        yield f"{what} is {'simulated' if before.simulated else 'real'}, the calibrated one is not"
+        yield message(f"{what} is {'simulated' if before.simulated else 'real'}, the calibrated one is not")
     elif before.days is not None and certificate.calibrated is not None:
         last, first = before.days[1], certificate.calibrated[0]
         of_one_day = last == first and found.days is not None
         if last > first or (
             of_one_day and datetime.fromisoformat(before.ended) > datetime.fromisoformat(found.begun)
         ):
-            yield f"{what} ended on {last}, after the calibration began on {first}"
+            yield message(f"{what} ended on {last}, after the calibration began on {first}")
 
 
 def found_by(

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from bench.base.arrays import u_of
 from bench.base.files import read_given, remedy_for, to_text, write_whole
+from bench.base.languages import message
 from bench.calibration.intrinsic import INTRINSIC
 from bench.certificate.dcc.reading import coefficients_in
 from bench.history.comparison import Snapshot, compare, joint_of
@@ -205,7 +206,7 @@ def _other_blocks(named: Mapping[str, str]) -> Iterator[str]:
     codes.pop("", None)
     if len(codes) > 1:
         each = "; ".join(f"{block}: {', '.join(of)}" for block, of in codes.items())
-        yield f"the results name several blocks ({each}); check that each is of the travelling block"
+        yield message(f"the results name several blocks ({each}); check that each is of the travelling block")
 
 
 _Seen = tuple[str, str, Literal["calibration", "monitor"], Drift]
@@ -252,13 +253,15 @@ def _read(path: Path, g_m_s2: float | None) -> tuple[Snapshot, list[str]]:
             raise Refused(f"{path}: has {len(more) + 1} results; give a file with one")
     one = snapshot_of(data, str(path))
     if not coefficients_of(data, str(path)).fits:
-        notes.append("not accepted by its laboratory: the readings contradict the model")
+        notes.append(message("not accepted by its laboratory: the readings contradict the model"))
     if one.simulated:
-        notes.append("of simulated instruments")
+        notes.append(message("of simulated instruments"))
     if one.block_terms is None:
         notes.append(
-            "states no part of u from K2 and K3 of the block, which all laboratories share; u of the consensus "
-            "may be too small"
+            message(
+                "states no part of u from K2 and K3 of the block, which all laboratories share; u of the "
+                "consensus may be too small"
+            )
         )
     return one, notes
 

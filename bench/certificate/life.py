@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.files import read_json, read_regular, write_whole
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
@@ -289,13 +290,16 @@ def _write(
 
 
 def _clock_set_back(register: Register, issue: Issue) -> Iterator[str]:
-    """Yield a sentence if the register has a certificate of a later day."""
-    entries = [one.entry for one in register.standings.values()]
+    """Yield a sentence if a certificate in force is of a later day.
+
+    A revoked one does not count: one issue by a clock that was fast would stop all others until its day.
+    """
+    entries = [one.entry for one in register.standings.values() if one.state == ISSUED]
     latest = max(entries, key=lambda entry: entry.time[:10], default=None)
     if latest is not None and issue.day < latest.time[:10]:
-        yield (
+        yield message(
             f"the day of issue (7.8.2.1 j): this computer's clock shows {issue.day}, but {latest.number} was "
-            f"issued on {latest.time[:10]}; set the clock"
+            f"issued on {latest.time[:10]} (set the clock or, if that day is wrong, revoke {latest.number})"
         )
 
 

@@ -242,12 +242,13 @@ def print_coefficients(result: Mapping[str, Any], at_c: float, out: Console) -> 
 
     `at_c` is the temperature at which they hold, °C; NaN if it is unknown.
     """
-    mark = "SIMULATED: " if result.get("simulated") else ""
+    mark = f"{translated('SIMULATED')}: " if result.get("simulated") else ""
     where = message("at an unknown temperature") if math.isnan(at_c) else message(f"at {at_c:.1f} °C")
-    out.print(
-        f"{mark}{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
+    told = message(
+        f"{result['source']}: U = K a + U0, a the specific force in local g ({result['g_m_s2']:.6g} m/s², "
         f"+1 g on an upward axis), U in {result['unit']}, block {where}"
     )
+    out.print(Text(mark + translated(told)))
     shown = table("coefficient", ">value", ">u", "")
     for name, one in result["coefficients"].items():
         unit = coefficient_unit(name, result["unit"])

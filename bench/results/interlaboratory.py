@@ -10,7 +10,7 @@ from pydantic import Field
 from rich.console import Console
 
 from bench.base.arrays import u_of
-from bench.base.languages import message
+from bench.base.languages import local_number, message, translated
 from bench.base.numbers import fixed, probability, rounded, two_digits, uncertainty
 from bench.base.result_model import ResultModel
 from bench.base.tables import print_notes, table
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CHANGED_P: Final = 0.05
-WORDS: Final = {True: "OFF", False: "agrees"}
+WORDS: Final = {True: message("OFF", "laboratory"), False: message("agrees", "laboratory")}
 
 
 class DifferencePart(ValuePart):
@@ -106,15 +106,27 @@ def drifts_of(seen: Sequence[tuple[str, str, Literal["calibration", "monitor"], 
     ]  # fmt: skip
 
 
+def _judged(one: LaboratoryPart) -> str:
+    return translated(WORDS[one.off], "laboratory")
+
+
 def drift_words(drift: DriftPart, unit: str) -> str:
     """Return a change in words: codes of both measurements, number changed most relative to u, p-value."""
     name, worst = max(drift.changes.items(), key=lambda item: abs(item[1].value) / item[1].u)
     size, small = small_unit(name, worst.u, unit)
-    where = f"at {drift.first}" if drift.first == drift.last else f"from {drift.first} to {drift.last}"
-    return (
-        f"{'CHANGED' if drift.changed else 'unchanged'} {where}, by {drift.by}: {name} by "
-        f"{rounded(worst.value / size, worst.u / size, sign=True)} ± {uncertainty(worst.u / size)} {small} (u), "
-        f"{probability(drift.p_all_looks)}"
+    change = (
+        f"{rounded(worst.value / size, worst.u / size, sign=True)} ± {uncertainty(worst.u / size)} {small}"
+    )
+    calibrated = translated(message("calibration", "laboratory"), "laboratory")
+    p, by = probability(drift.p_all_looks), calibrated if drift.by == "calibration" else drift.by
+    if drift.first == drift.last:
+        return message(
+            f"{'CHANGED' if drift.changed else 'unchanged'} at {drift.first}, by {by}: "
+            f"{name} by {change} (u), {p}"
+        )
+    return message(
+        f"{'CHANGED' if drift.changed else 'unchanged'} from {drift.first} to {drift.last}, by {by}: "
+        f"{name} by {change} (u), {p}"
     )
 
 
@@ -130,8 +142,8 @@ def print_kit(result: KitResult, on: Console) -> None:
             one.code,
             fixed(one.chi2, 1),
             probability(one.p_all_looks),
-            f"{name} {worst.en:.2f}",
-            WORDS[one.off],
+            f"{name} {local_number(f'{worst.en:.2f}')}",
+            _judged(one),
         )
     on.print(shown)
     if result.transport_p is not None:
@@ -172,7 +184,7 @@ def render_kit(result: KitResult) -> str:
         laboratories=[
             Row(
                 one.code,
-                fixed(one.chi2, 1), probability(one.p_all_looks), WORDS[one.off], bad=one.off
+                fixed(one.chi2, 1), probability(one.p_all_looks), _judged(one), bad=one.off
             )
             for one in result.laboratories
         ],

@@ -216,3 +216,19 @@ def test_no_certificate_is_dated_before_the_last_one(bench, desk, monkeypatch):
     monkeypatch.setattr("bench.certificate.life.utc_now", lambda: datetime(2026, 11, 23, tzinfo=UTC))
     amend = ("certificate", "amend", "SIM-2026-0001", "finished", "--reason", "a name")
     refused(bench(*amend, *desk), "this computer's clock shows 2026-11-23, but SIM-2026-0001 was issued on")
+
+
+@pytest.mark.slow
+def test_a_certificate_of_a_clock_that_was_fast_stops_no_other_once_it_is_revoked(bench, desk, monkeypatch):
+    """Nobody could issue a certificate until the wrong day had come."""
+    with monkeypatch.context() as fast:
+        fast.setattr("bench.certificate.life.utc_now", lambda: datetime(2099, 1, 1, tzinfo=UTC))
+        assert bench("certificate", "finished", *desk)[0] == 0
+    amend = ("certificate", "amend", "SIM-2099-0001", "finished", "--reason", "day")
+    refused(bench(*amend, *desk), "if that day is wrong, revoke SIM-2099-0001")
+    revoke = ("certificate", "revoke", "SIM-2099-0001", "--reason", "wrong day")
+    assert bench(*revoke, *desk[:2], *BY)[0] == 0
+    assert bench("certificate", "finished", *desk)[0] == 0
+    (again,) = set(Path("register").glob("SIM-2*.xml")) - {Path("register/SIM-2099-0001.xml")}
+    assert "SIM-2099-0001" in again.read_text()
+    assert bench("certificate", "register", *desk[:2], "--again")[0] == 0

@@ -9,6 +9,8 @@ from bench.base.languages import speaking, translated
 from bench.base.tables import as_text, table
 from bench.calibration.mistakes import in_another_unit
 from bench.cli.app import main
+from bench.results.interlaboratory import DriftPart, drift_words
+from bench.results.parts import ValuePart
 from bench.run.folder import Run
 from bench.run.person import OpenPrompt
 from tests.support.answering import answer_to
@@ -183,6 +185,46 @@ def test_the_name_of_a_run_stays_where_it_is_a_word_of_the_catalogue(at_the_benc
     assert "пробний сеанс: так" in shown
     assert "методика: " in shown
     assert "закріпити блок у встановленні 1" in shown
+
+
+@pytest.mark.parametrize(
+    "english",
+    [
+        "none: not issued; missing: results before the adjustment (7.8.4.1 d): the run 'as_found', after, ended on "
+        "2026-12-01, after the calibration began on 2026-12-01; a day of issue (7.8.2.1 j) after the calibration: "
+        "2026-11-30 is before 2026-12-01",
+        "after: not issued; missing: results before the adjustment (7.8.4.1 d): the run 'as_found', none, is real, "
+        "the calibrated one is not; the day of issue (7.8.2.1 j): this computer's clock shows 2026-11-30, but "
+        "SIM-2026-0001 was issued on 2026-12-01 (set the clock or, if that day is wrong, revoke SIM-2026-0001)",
+        "note: Q7FA: of simulated instruments",
+        "note: Q7FA: not accepted by its laboratory: the readings contradict the model",
+        "none: U = K a + U0, a the specific force in local g (9.81 m/s², +1 g on an upward axis), U in V, block "
+        "at 23.0 °C",
+    ],
+)
+def test_certificates_and_kits_speak_ukrainian_and_names_of_runs_stay(english):
+    """A kit's note read "приладів: of simulated"; a run "after" was called "після"."""
+    said = translated_in_ukrainian(english)
+    names = [name for name in ("none", "after") if f"{name}:" in english or f"{name}," in english]
+    assert all(name in said for name in names)
+    for word in (*names, "as_found", "note"):
+        said = said.replace(word, "")
+    assert english_in(said) == []
+    assert "приладів:" not in said
+
+
+@pytest.mark.parametrize("off", [True, False])
+def test_what_changed_in_a_kit_is_told_in_ukrainian(off):
+    drift = DriftPart(
+        first="Q7FA", last="9HLM", by="calibration", p=0.5, p_all_looks=0.5, changed=off,
+        changes={"bz": ValuePart(value=5e-5, u=2e-5)},
+    )  # fmt: skip
+    with speaking("uk"):
+        said = translated(drift_words(drift, "V"))
+    assert said.startswith(
+        "ЗМІНА від Q7FA до 9HLM (калібрування): bz на " if off else "без змін від Q7FA до 9HLM"
+    )
+    assert english_in(said) == []
 
 
 def translated_in_ukrainian(text):

@@ -93,7 +93,6 @@ def test_a_frame_with_a_column_twice_is_refused_and_a_missing_value_of_pandas_is
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_a_table_that_contradicts_others_in_memory_is_left_out_alone(empty_folder):
     import pandas as pd
 
@@ -107,6 +106,7 @@ def test_a_table_that_contradicts_others_in_memory_is_left_out_alone(empty_folde
     assert {one.run for one in found.contradicting} == {"DataFrame 3"}
 
 
+@pytest.mark.slow
 def test_a_verification_is_that_of_the_command(bench, readings):
     verdict = program.verify(readings, rule="guarded", limit=2e-4)
     _, out, _ = bench("verify", "r.csv", "--rule", "guarded", "--limit", "2e-4", "--json", "-")
