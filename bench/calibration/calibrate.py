@@ -396,7 +396,8 @@ def _judged(
             # one outlier is enough for a note, but in free positions alone several may mask each other
             most = outliers.most_outliers(problem) if problem.upper else 1
             doubted = outliers.search(problem, task.fit, task.refit, most)
-    rounding = rounding_of(problem, fit, resolution)
+    # growth explains the repeats already: rounding would be taken off the misfit a second time
+    rounding = None if problem.growth is not None else rounding_of(problem, fit, resolution)
     digits = ROUNDING * float(np.max(np.abs(signal), initial=0.0))
     test = replace(gls.lack_of_fit(problem, fit, rounding), rms=rms(fit.residuals), rounding=digits)
     if not test.accepted():
