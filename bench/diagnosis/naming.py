@@ -115,7 +115,7 @@ class Scored:
         scores = _with_tied_starts(search, left, search.score(data))
         families = scores.families(candidates)[:, 0]
         log_odds = families + candidates.log_prior
-        return cls(
+        scored = cls(
             search,
             left,
             scores,
@@ -124,6 +124,38 @@ class Scored:
             float(logsumexp(log_odds)),
             int(np.argmax(scores.ratio[:, 0])),
         )
+        scored.name_forms()
+        return scored
+
+    def name_forms(self) -> None:
+        """Count the forms without a name that the most probable effect of the catalogue reproduces as this effect.
+
+        It leaves less than `ALIAS` of their fitted signatures: they do not say that the cause has no name.
+        """
+        candidates = self.search.whitened.candidates
+        named = [family for family in self.log_odds if family in CATALOGUE]
+        if not named:
+            return
+        best = max(named, key=lambda family: self.log_odds[family])
+        effect = self.likeliest(best).plain.columns
+        prior = dict(zip(candidates.families, candidates.log_prior.tolist(), strict=True))
+        for family, log_odds in list(self.log_odds.items()):
+            if family in CATALOGUE or log_odds < self.total + math.log(BY_CHANCE / 10):
+                continue
+            of_forms = candidates.of_family(family)
+            forms = self.log_odds_of(of_forms) + prior[family]
+            alike = np.array([self.unexplained(candidates.variants[f], effect) < ALIAS for f in of_forms])
+            if alike.any():
+                self.log_odds[best] = float(logsumexp([self.log_odds[best], *forms[alike]]))
+                rest = forms[~alike]
+                self.log_odds[family] = float(logsumexp(rest)) if len(rest) else -1e9
+
+    def unexplained(self, form: Variant, columns: Sequence[int]) -> float:
+        """Return the part, in units of noise, of a form's fitted signature that `columns` (indices) leave."""
+        sizes, gram = self.amplitude(form)
+        across = self.search.between(self.ratio, [*columns, *form.columns])[: len(columns), len(columns):] @ sizes
+        among = self.search.between(self.ratio, columns) + np.eye(len(columns)) / BEYOND_BELIEF**2
+        return math.sqrt(max(float(sizes @ gram @ sizes - across @ np.linalg.solve(among, across)), 0.0))
 
     def best(self, among: Among | None = None) -> FoundEffect:
         """Return the family with the largest posterior odds, of those permitted by `among`, as an effect found."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from scipy.special import logsumexp
 
 from bench.base.arrays import Floats, Mask
 from bench.base.computing import tracked
@@ -31,7 +32,7 @@ from bench.diagnosis.noise_grid import (
     noise_of_repeats,
     with_rounding,
 )
-from bench.diagnosis.noise_kinds import LOG_PRIOR, log_density, log_null, noise_hypotheses
+from bench.diagnosis.noise_kinds import LOG_PRIOR, NoiseHypothesis, log_density, log_null, noise_hypotheses
 from bench.diagnosis.posterior import (
     NoiseSize,
     Posterior,
@@ -100,21 +101,14 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         return prepared, naming
     score = prepared.log_evidence(naming)
     for _ in range(len(LOG_PRIOR)):
-        rivals = []
         # heavy tails may replace the single readings found, beside the same effects
         beside_tails = tuple(one for one in naming.found if one.variant.family not in SINGLE)
-        for found in dict.fromkeys([(), beside_tails, naming.found]):
-            effects = replace(naming, found=found).columns
-            columns = prepared.candidates.columns[:, list(effects)]
-            noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
-            own = prepared.log_evidence(replace(naming, found=found))
-            own -= log_density(prepared.linear, columns, grid)
-            for one in noise_hypotheses(prepared.linear, columns, noise):
-                if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
-                    continue  # tails explain single readings, too
-                about = own + one.log_odds + log_density(one.linear, columns, grid)
-                if about > score + np.log(BY_CHANCE):
-                    rivals.append((about, one, noise.reading))
+        rivals = [
+            rival
+            for found in dict.fromkeys([(), beside_tails, naming.found])
+            for rival in _under_other_noise(prepared, found)
+            if rival[0] > score + np.log(BY_CHANCE)
+        ]
         tried = []
         for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
             searched, named = again(prepared, one.linear, most)
@@ -128,9 +122,41 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
             tried.append((searched.log_evidence(named), searched, named))
         better = max(tried, key=lambda state: state[0], default=None)
         if better is None or better[0] <= score + ALIAS**2 / 2.0:
-            return prepared, naming
+            break
         score, prepared, naming = better
-    return prepared, naming
+    needed = _beyond_noise(prepared, naming)
+    return (prepared, naming) if needed is naming else choose_noise(prepared, needed, again)
+
+
+def _under_other_noise(
+    prepared: Prepared, found: tuple[FoundEffect, ...]
+) -> Iterator[tuple[float, NoiseHypothesis, float]]:
+    """Yield ln of the evidence of other noise hypotheses beside the effects `found`, and the noise of a reading."""
+    effects = Naming(found).columns
+    columns = prepared.candidates.columns[:, list(effects)]
+    noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
+    own = prepared.log_evidence(Naming(found)) - log_density(prepared.linear, columns, grid)
+    for one in noise_hypotheses(prepared.linear, columns, noise):
+        if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
+            continue  # tails explain single readings, too
+        yield own + one.log_odds + log_density(one.linear, columns, grid), one, noise.reading
+
+
+def _beyond_noise(prepared: Prepared, naming: Naming) -> Naming:
+    """Return the effects without which the readings are improbable under every noise hypothesis together."""
+
+    def log_evidence(found: tuple[FoundEffect, ...]) -> float:
+        others = [about for about, *_ in _under_other_noise(prepared, found)]
+        return float(logsumexp([prepared.log_evidence(Naming(found)), *others]))
+
+    while naming.found:
+        rest = [tuple(one for one in naming.found if one is not weak) for weak in naming.found]
+        without = [log_evidence(found) for found in rest]
+        weakest = int(np.argmax(without))
+        if log_evidence(naming.found) - without[weakest] >= prepared.limit.value:
+            break
+        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, rest[weakest])
+    return naming
 
 
 def in_the_noise_of(prepared: LinearSystem, linear: LinearSystem) -> LinearSystem:

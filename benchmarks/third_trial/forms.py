@@ -103,6 +103,10 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
         yield "voltmeter_warm_up", "meter", [partial(lambda t, on, _: fade(on, t), tau)]
     for tau in (7, 10, 15, 20):
         yield "warm_up", "block", each(partial(lambda t, on, _: fade(on, t) + fade(on, 2.7 * t), tau))
+    for tau in (10, 20, 40, 80):
+        settling = partial(lambda t, on: fade(on, t, on.since_mount_s), tau)
+        yield "thermal_settling", "block", each(partial(lambda f, on, _: f(on), settling))
+        yield "mounting_creep", "stand", [shape for k in (0, 2, 3) for shape in errors(k, settling)]
     yield "bias_drift", "block", each(lambda on, _: hours(on))
     yield "scale_drift", "block", each(lambda on, a: hours(on) * a)
     for first in (1, 2):
@@ -120,6 +124,9 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
             for place in places[: 1 if p == 1 else 3]:
                 yield "block_slip", "stand", [shape for k in (0, 2, 3) for shape in errors(k, place)]
                 yield "head_zero_shift", "stand", errors(0, place)
+                gains = [partial(lambda w, on, v: w(on)[:, None] * v, place)]
+                yield "scale_step", "block", each(*gains)
+                yield "reference_step", "meter", gains
                 for signs in XYZ - XYZ[[1, 2, 0]]:
                     yield (
                         "meters_exchanged",
@@ -152,13 +159,12 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
 FAMILIES: Final = list(_families())
 NAMES: Final = {name: [k for k, family in enumerate(FAMILIES) if family[0] == name] for name, *_ in FAMILIES}
 """Indices in `FAMILIES` by name of the catalogue."""
-HIDDEN: Final = [
-    name for name in NAMES if name not in {"mounting_error", "mounting_offset", "zero_offset", "bracket_tilt"}
-]
-"""Names that may be hidden.
-
-Not among them are those within the stand's errors of up to 3′, and a second name of the axis tilt.
-"""
+RIVALS: Final = {
+    "mounting_error", "mounting_offset", "zero_offset", "bracket_tilt", "scale_step", "reference_step",
+    "thermal_settling", "mounting_creep",
+}  # fmt: skip
+"""Names that are only rivals, not hidden."""
+HIDDEN: Final = [name for name in NAMES if name not in RIVALS]
 
 
 OUTSIDE: Final[dict[str, tuple[Stage, Act]]] = {
