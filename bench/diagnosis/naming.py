@@ -153,7 +153,9 @@ class Scored:
     def unexplained(self, form: Variant, columns: Sequence[int]) -> float:
         """Return the part, in units of noise, of a form's fitted signature that `columns` (indices) leave."""
         sizes, gram = self.amplitude(form)
-        across = self.search.between(self.ratio, [*columns, *form.columns])[: len(columns), len(columns):] @ sizes
+        across = (
+            self.search.between(self.ratio, [*columns, *form.columns])[: len(columns), len(columns) :] @ sizes
+        )
         among = self.search.between(self.ratio, columns) + np.eye(len(columns)) / BEYOND_BELIEF**2
         return math.sqrt(max(float(sizes @ gram @ sizes - across @ np.linalg.solve(among, across)), 0.0))
 

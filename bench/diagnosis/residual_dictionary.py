@@ -263,8 +263,6 @@ FORCES: Final[dict[str, tuple[str, ...]]] = {
 def _of_voltmeters(courses: Sequence[TimeCourse]) -> Iterator[DictionaryTerm]:
     stage = Stage.VOLTMETER_READING
     for course in courses:
-        if course.long:
-            yield _of_course(course, message("the voltage"), stage, VOLTS)
         if course.long and course.where:
             yield _of_course(course, message("the gain of the voltmeter"), stage, GAIN, in_proportion=True)
     for text in ("abs(U)", "abs(Ux)", "abs(Uy)", "abs(Uz)"):

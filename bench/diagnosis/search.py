@@ -106,7 +106,7 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         rivals = [
             rival
             for found in dict.fromkeys([(), beside_tails, naming.found])
-            for rival in _under_other_noise(prepared, found)
+            for rival in _under_other_noise(prepared, found, prepared.log_evidence(Naming(found)))
             if rival[0] > score + np.log(BY_CHANCE)
         ]
         tried = []
@@ -121,21 +121,27 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
             )
             tried.append((searched.log_evidence(named), searched, named))
         better = max(tried, key=lambda state: state[0], default=None)
-        if better is None or better[0] <= score + ALIAS**2 / 2.0:
-            break
-        score, prepared, naming = better
-    needed = _beyond_noise(prepared, naming)
-    return (prepared, naming) if needed is naming else choose_noise(prepared, needed, again)
+        if better is not None and better[0] > score + ALIAS**2 / 2.0:
+            score, prepared, naming = better
+            continue
+        needed = _beyond_noise(prepared, naming)
+        if needed is naming:
+            return prepared, naming
+        score, naming = prepared.log_evidence(needed), needed  # and the noise may be another one without them
+    return prepared, _beyond_noise(prepared, naming)
 
 
 def _under_other_noise(
-    prepared: Prepared, found: tuple[FoundEffect, ...]
+    prepared: Prepared, found: tuple[FoundEffect, ...], own: float
 ) -> Iterator[tuple[float, NoiseHypothesis, float]]:
-    """Yield ln of the evidence of other noise hypotheses beside the effects `found`, and the noise of a reading."""
+    """Yield ln of the evidence of other noise hypotheses beside the effects `found`, and the noise of a reading.
+
+    `own` is ln of the evidence of the present noise beside these effects.
+    """
     effects = Naming(found).columns
     columns = prepared.candidates.columns[:, list(effects)]
     noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
-    own = prepared.log_evidence(Naming(found)) - log_density(prepared.linear, columns, grid)
+    own -= log_density(prepared.linear, columns, grid)
     for one in noise_hypotheses(prepared.linear, columns, noise):
         if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
             continue  # tails explain single readings, too
@@ -143,19 +149,19 @@ def _under_other_noise(
 
 
 def _beyond_noise(prepared: Prepared, naming: Naming) -> Naming:
-    """Return the effects without which the readings are improbable under every noise hypothesis together."""
-
-    def log_evidence(found: tuple[FoundEffect, ...]) -> float:
-        others = [about for about, *_ in _under_other_noise(prepared, found)]
-        return float(logsumexp([prepared.log_evidence(Naming(found)), *others]))
-
+    """Return the effects without which the readings are improbable under all noise hypotheses together."""
     while naming.found:
-        rest = [tuple(one for one in naming.found if one is not weak) for weak in naming.found]
-        without = [log_evidence(found) for found in rest]
-        weakest = int(np.argmax(without))
-        if log_evidence(naming.found) - without[weakest] >= prepared.limit.value:
+        with_all = prepared.log_evidence(naming)
+        odds = []
+        for weak in naming.found:
+            rest, own = tuple(one for one in naming.found if one is not weak), with_all - weak.total
+            others = [about for about, *_ in _under_other_noise(prepared, rest, own)]
+            odds.append(with_all - float(logsumexp([own, *others])))
+        weakest = int(np.argmin(odds))
+        if odds[weakest] >= prepared.limit.value:
             break
-        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, rest[weakest])
+        rest = naming.found[:weakest] + naming.found[weakest + 1 :]
+        naming = name(prepared.whitened, prepared.data, prepared.limit, 0, rest)
     return naming
 
 
