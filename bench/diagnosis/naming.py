@@ -124,31 +124,27 @@ class Scored:
             float(logsumexp(log_odds)),
             int(np.argmax(scores.ratio[:, 0])),
         )
-        scored.name_forms()
-        return scored
+        return replace(scored, log_odds=scored._with_forms_named(candidates.log_prior))
 
-    def name_forms(self) -> None:
-        """Count the forms without a name that the most probable effect of the catalogue reproduces as this effect.
+    def _with_forms_named(self, log_prior: Floats) -> dict[str, float]:
+        """Return the log odds, with the forms that the likeliest effect reproduces counted as this effect.
 
-        It leaves less than `ALIAS` of their fitted signatures: they do not say that the cause has no name.
+        The effect leaves less than `ALIAS` of their fitted signatures, so that they are no other explanation.
         """
-        candidates = self.search.whitened.candidates
-        named = [family for family in self.log_odds if family in CATALOGUE]
-        if not named:
-            return
-        best = max(named, key=lambda family: self.log_odds[family])
-        effect = self.likeliest(best).plain.columns
-        prior = dict(zip(candidates.families, candidates.log_prior.tolist(), strict=True))
-        for family, log_odds in list(self.log_odds.items()):
-            if family in CATALOGUE or log_odds < self.total + math.log(BY_CHANCE / 10):
+        candidates, odds = self.search.whitened.candidates, dict(self.log_odds)
+        best = max((family for family in odds if family in CATALOGUE), key=odds.__getitem__, default=None)
+        if best is None:
+            return odds
+        effect, least = self.likeliest(best).plain.columns, self.total + math.log(BY_CHANCE / 10.0)
+        for family, prior in zip(candidates.families, log_prior.tolist(), strict=True):
+            if family in CATALOGUE or odds[family] < least:
                 continue
-            of_forms = candidates.of_family(family)
-            forms = self.log_odds_of(of_forms) + prior[family]
-            alike = np.array([self.unexplained(candidates.variants[f], effect) < ALIAS for f in of_forms])
-            if alike.any():
-                self.log_odds[best] = float(logsumexp([self.log_odds[best], *forms[alike]]))
-                rest = forms[~alike]
-                self.log_odds[family] = float(logsumexp(rest)) if len(rest) else -1e9
+            forms = candidates.of_family(family)
+            each = self.log_odds_of(forms) + prior
+            alike = np.array([self.unexplained(candidates.variants[form], effect) < ALIAS for form in forms])
+            odds[best] = float(logsumexp([odds[best], *each[alike]]))
+            odds[family] = float(logsumexp([-math.inf, *each[~alike]]))
+        return odds
 
     def unexplained(self, form: Variant, columns: Sequence[int]) -> float:
         """Return the part, in units of noise, of a form's fitted signature that `columns` (indices) leave."""

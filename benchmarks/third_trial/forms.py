@@ -58,18 +58,22 @@ def loop(on: Day, widths: Sequence[float], weights: Sequence[float]) -> Floats:
     return result
 
 
+def each(*shapes: Shape) -> list[Shape]:
+    """Return the shapes in each channel."""
+    return [partial(lambda s, i, on, a: s(on, a) * XYZ[i], s, i) for s in shapes for i in range(3)]
+
+
+def errors(number: int, *shapes: Callable[[Day], Floats]) -> list[Shape]:
+    """Return the shapes as additions to error `number` of the stand."""
+    return [partial(lambda s, on, _: error(number, np.ravel(s(on))), s) for s in shapes]
+
+
 def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
     """Yield a name of the catalogue, its stage, and shapes that span its additions, for each form and location.
 
     In a list of shapes of the block, the channels alternate: x, y, z, x, … Besides the catalogue's forms, there
     are forms with two plays or time constants, other lags and other widths.
     """
-
-    def each(*shapes: Shape) -> list[Shape]:
-        return [partial(lambda s, i, on, a: s(on, a) * XYZ[i], s, i) for s in shapes for i in range(3)]
-
-    def errors(number: int, *shapes: Callable[[Day], Floats]) -> list[Shape]:
-        return [partial(lambda s, on, _: error(number, np.ravel(s(on))), s) for s in shapes]
 
     def waves(times: int) -> list[Callable[[Day], Floats]]:
         return [lambda on: np.sin(times * on.angle), lambda on: np.cos(times * on.angle)]
@@ -110,32 +114,14 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
     yield "bias_drift", "block", each(lambda on, _: hours(on))
     yield "scale_drift", "block", each(lambda on, a: hours(on) * a)
     for first in (1, 2):
-        yield "turn_on_shift", "block", each(partial(lambda m, on, _: (on.mount >= m)[:, None], first))
+        later = partial(lambda m, on: on.mount >= m, first)
+        yield "turn_on_shift", "block", each(partial(lambda w, on, _: w(on)[:, None], later))
+        yield from _of_gains(later)
     angles = {"axis_tilt": 1, "bracket_tilt": 1, "mounting_error": 2, "mounting_roll": 3}
     for mount in range(2):
         for name, number in (angles | {"mounting_offset": 0, "zero_offset": 0}).items():
             yield name, "stand", errors(number, partial(lambda m, on: on.mount == m, mount))
-        for p in (1, 2, 3):
-            places = (
-                partial(lambda m, p, on: (on.mount == m) & (on.pass_number == p), mount, p),
-                partial(lambda m, p, on: (on.mount == m) & (on.pass_number >= p), mount, p),
-                partial(lambda m, p, on: on.mount + on.pass_number / 9 >= m + p / 9 - 1e-9, mount, p),
-            )
-            for place in places[: 1 if p == 1 else 3]:
-                yield "block_slip", "stand", [shape for k in (0, 2, 3) for shape in errors(k, place)]
-                yield "head_zero_shift", "stand", errors(0, place)
-                gains = [partial(lambda w, on, v: w(on)[:, None] * v, place)]
-                yield "scale_step", "block", each(*gains)
-                yield "reference_step", "meter", gains
-                for signs in XYZ - XYZ[[1, 2, 0]]:
-                    yield (
-                        "meters_exchanged",
-                        "meter",
-                        [
-                            partial(lambda k, w, s, on, v: w(on)[:, None] * s * v**k, k, place, signs)
-                            for k in (0, 1)
-                        ],
-                    )
+        yield from _of_passes(mount)
     yield "head_eccentricity", "stand", errors(0, *waves(1))
     yield "head_ellipticity", "stand", errors(0, *waves(2))
     yield "head_graduation", "stand", errors(0, *(partial(lambda k, on: on.eighth == k, k) for k in range(8)))
@@ -154,6 +140,36 @@ def _families() -> Iterator[tuple[str, Stage, list[Shape]]]:
             lambda _, v: np.where(np.abs(v) < 1.2, 1 + 0 * v, 0), lambda _, v: np.where(np.abs(v) < 1.2, v, 0)
         ),
     )
+
+
+def _of_gains(place: Callable[[Day], Floats]) -> Iterator[tuple[str, Stage, list[Shape]]]:
+    """Yield steps of the gain, by channel and common, in the rows in which `place` is not zero."""
+    gain = partial(lambda w, on, v: w(on)[:, None] * v, place)
+    yield "scale_step", "block", each(gain)
+    yield "reference_step", "meter", [gain]
+
+
+def _of_passes(mount: int) -> Iterator[tuple[str, Stage, list[Shape]]]:
+    """Yield what acts in a pass of a mounting, from it to the end of the mounting, or to the end of the run."""
+    for p in (1, 2, 3):
+        places = (
+            partial(lambda m, p, on: (on.mount == m) & (on.pass_number == p), mount, p),
+            partial(lambda m, p, on: (on.mount == m) & (on.pass_number >= p), mount, p),
+            partial(lambda m, p, on: on.mount + on.pass_number / 9 >= m + p / 9 - 1e-9, mount, p),
+        )
+        for place in places[: 1 if p == 1 else 3]:
+            yield "block_slip", "stand", [shape for k in (0, 2, 3) for shape in errors(k, place)]
+            yield "head_zero_shift", "stand", errors(0, place)
+            yield from _of_gains(place)
+            for signs in XYZ - XYZ[[1, 2, 0]]:
+                yield (
+                    "meters_exchanged",
+                    "meter",
+                    [
+                        partial(lambda k, w, s, on, v: w(on)[:, None] * s * v**k, k, place, signs)
+                        for k in (0, 1)
+                    ],
+                )
 
 
 FAMILIES: Final = list(_families())

@@ -5,6 +5,7 @@ import time
 from functools import cache
 from pathlib import Path
 from typing import Any, Final
+from unittest import mock
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from benchmarks.third_trial.cases import Case
 from benchmarks.third_trial.forms import NAMES, left_by, signature
 from benchmarks.third_trial.stand import DAYS, U0, Floats, Form, K, day, left, read, rho, table, volts
 
+FREQUENCIES: Final = (0.375, 0.125, 0.5)
+"""Frequencies in the trial, in the order of the program's `KIND_PRIOR`: half of the effects have no name."""
 TRUE: Final = dict(zip(COEFFICIENTS, [*K.ravel(), *U0], strict=True))
 
 
@@ -75,6 +78,15 @@ def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
         if new_day:
             record["new_day"] = _calibrated(case, case.form, path, other)
     return record
+
+
+def diagnosed_with_its_frequencies(case: Case) -> dict[str, Any]:
+    """Return the program's diagnosis of a case if its prior of named and unnamed effects is that of the trial."""
+    with (
+        mock.patch("bench.diagnosis.candidates.KIND_PRIOR", FREQUENCIES),
+        mock.patch("bench.diagnosis.evidence.KIND_PRIOR", FREQUENCIES),  # in the key of cached thresholds
+    ):
+        return diagnosed(case)
 
 
 def headline(text: str) -> str:

@@ -3,6 +3,7 @@
     python -m benchmarks.third_trial --seed 11 --workers 2      # 1,000 cases: nothing, catalogue, outside
     python -m benchmarks.third_trial --short                    # 50 of each kind of trial
     python -m benchmarks.third_trial --far --mistakes --forms --nulls   # other kinds of trial
+    python -m benchmarks.third_trial --declared                 # its frequencies of named effects as the prior
     python -m benchmarks.third_trial --output new --against old # each case beside that of another run
 
 Readings are made by the geometry, effects and noise of this package alone; the program receives them as tables
@@ -29,7 +30,7 @@ from benchmarks.third_trial.cases import (
     mistake_case,
     null_case,
 )
-from benchmarks.third_trial.program import diagnosed
+from benchmarks.third_trial.program import diagnosed, diagnosed_with_its_frequencies
 from benchmarks.third_trial.score import JUDGED, against, report
 
 Record = dict[str, Any]
@@ -39,12 +40,15 @@ MAKERS: Final[dict[str, tuple[Callable[[int, int], Case], int]]] = {
     "mistakes": (mistake_case, 20 * len(MISTAKES)),
     "forms": (form_case, 200),
     "nulls": (null_case, 1000),
+    "declared": (main_case, 1000),
 }
 """The function that makes a case from a seed and a number, and the number of cases, by kind of trial."""
 
 
 def of_number(trial: str, seed: int, number: int) -> Record:
     """Return the program's result for the case of this number."""
+    if trial == "declared":
+        return diagnosed_with_its_frequencies(main_case(seed, number))
     return diagnosed(MAKERS[trial][0](seed, number), new_day=trial == "forms")
 
 
@@ -78,6 +82,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         cases=(int, "so many cases of each kind of trial"),
         far=(False, "files with something 8 to 40 u off"), mistakes=(False, "mistakes of procedure and wiring"),
         forms=(False, "forms outside the catalogue, tried on a new day"), nulls=(False, "nothing is missing"),
+        declared=(False, "the main trial, if the program expects as many unnamed effects as there are"),
         output=(Path("third-trial"), "folder of the lines"),
         against={"type": Path, "metavar": "FOLDER", "help": "compare each case with that of another run, exactly"},
     )  # fmt: skip

@@ -139,7 +139,7 @@ def form_marks(one: Record) -> Marks:
 
 JUDGED: Final[dict[str, Callable[[Record], Marks]]] = {
     "main": marks_of, "far": far_marks, "mistakes": mistake_marks, "forms": form_marks,
-    "nulls": marks_of,
+    "nulls": marks_of, "declared": lambda one: {"failed": one["verdict"] == "error"},
 }  # fmt: skip
 BOUNDS: Final = {
     "failed": ("<=", 0.0), "null agrees": (">=", 0.99), "outside silent, mean form": ("<=", 0.03),
@@ -172,7 +172,9 @@ def report(trial: str, found: Sequence[Record]) -> tuple[str, int]:
             met = share.of == 0 or (share.part <= limit if sign == "<=" else share.part >= limit)
             said.append(f"{name}: {share}; asked {sign} {limit:g}: {'met' if met else 'NOT MET'}")
     if trial == "main":
-        said += [*_coefficients(found), *_posteriors(found)]
+        said += _coefficients(found)
+    if trial in {"main", "declared"}:
+        said += _posteriors(found)
         for group in ("catalogue", "outside"):
             of_group = _posteriors([one for one in found if one["group"] == group])
             said += [f"{group} cases, {line.rpartition(': ')[0]}" for line in of_group]
@@ -205,8 +207,8 @@ def _posteriors(found: Sequence[Record]) -> list[str]:
     """Compare stated probabilities with how often they are right, in five bins with 99 % binomial limits.
 
     All forms without a name count as one. The diagnosis expects 24 times as many effects of the catalogue as forms
-    without a name (`KIND_PRIOR`); the trial draws equally many. Therefore the bins of each group are printed,
-    too, without a judgement.
+    without a name (`KIND_PRIOR`); the trial draws equally many, which it declares as `--declared`. The bins of
+    each group are printed, too, without a judgement.
     """
     stated: list[tuple[float, bool]] = []
     for one in (one for one in found if one.get("odds")):

@@ -191,6 +191,17 @@ def test_normal_noise_is_left_normal():
 
 
 @pytest.mark.slow
+def test_an_effect_stands_against_all_kinds_of_noise_together():
+    """Slow noise of the size of the white (seed 51): against white noise alone, the bias settled."""
+    rng = np.random.default_rng([79, 51])
+    run = paper_run(rng, noise_v=0.0)
+    white, slow = rng.normal(size=(len(run), 3)), wandering(rng, len(run))
+    kinds, naming = chosen(replace(run, signal=run.signal + NOISE_V * (white + slow)))
+    assert kinds == {"slow"}
+    assert not naming.found
+
+
+@pytest.mark.slow
 def test_an_effect_is_found_beside_noise_that_is_slow():
     _, naming = chosen(noisy(1, "slow", K2=(0.0, 400e-6, 0.0)))
     families = {name for one in naming.found for name in (one.variant.family, *one.ties)}
