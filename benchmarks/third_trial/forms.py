@@ -175,11 +175,10 @@ def _of_passes(mount: int) -> Iterator[tuple[str, Stage, list[Shape]]]:
 FAMILIES: Final = list(_families())
 NAMES: Final = {name: [k for k, family in enumerate(FAMILIES) if family[0] == name] for name, *_ in FAMILIES}
 """Indices in `FAMILIES` by name of the catalogue."""
-RIVALS: Final = {
-    "mounting_error", "mounting_offset", "zero_offset", "bracket_tilt", "scale_step", "reference_step",
-    "thermal_settling", "mounting_creep",
-}  # fmt: skip
-"""Names that are only rivals, not hidden."""
+ROUGHLY: Final = ("scale_step", "reference_step", "thermal_settling", "mounting_creep")
+"""Names of which only common forms are spanned: they can be rivals, but do not show what a name leaves."""
+RIVALS: Final = {"mounting_error", "mounting_offset", "zero_offset", "bracket_tilt", *ROUGHLY}
+"""Names that are not hidden: within the stand's errors of up to 3′, a second axis tilt, or `ROUGHLY`."""
 HIDDEN: Final = [name for name in NAMES if name not in RIVALS]
 
 

@@ -14,7 +14,7 @@ from bench.config.model_file import load_model
 from bench.model import ForwardModel
 from bench.model.geometry import COEFFICIENTS, Block
 from benchmarks.third_trial.cases import Case
-from benchmarks.third_trial.forms import NAMES, left_by, signature
+from benchmarks.third_trial.forms import NAMES, ROUGHLY, left_by, signature
 from benchmarks.third_trial.stand import DAYS, U0, Floats, Form, K, day, left, read, rho, table, volts
 
 FREQUENCIES: Final = (0.375, 0.125, 0.5)
@@ -63,7 +63,7 @@ def diagnosed(case: Case, *, new_day: bool = False) -> dict[str, Any]:
     }
     rivals = {name: left_by([name], seen, case.day) for name in NAMES if name not in larger}
     record["rival"] = [nearest := min(rivals, key=lambda name: rivals[name]), round(rivals[nearest], 2)]
-    known = [name for name in record["names"] if name in NAMES]
+    known = [name for name in record["names"] if name in NAMES and name not in ROUGHLY]
     record["leaves"] = {name: round(left_by([name], seen, case.day), 2) for name in known}
     record["left"] = round(left_by(known, seen, case.day), 2) if known else None
     with tempfile.TemporaryDirectory() as folder:
