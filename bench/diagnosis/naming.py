@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.special import logsumexp, softmax
 
-from bench.base.arrays import Floats
+from bench.base.arrays import Floats, Ints
 from bench.base.languages import message
 from bench.diagnosis.candidates import Variant
 from bench.diagnosis.evidence import BEYOND_BELIEF, KNOWN_SIZE, Data, Scores, Search, Threshold, Whitened
@@ -139,11 +139,13 @@ class Scored:
         for family, prior in zip(candidates.families, log_prior.tolist(), strict=True):
             if family in CATALOGUE or odds[family] < least:
                 continue
-            forms = candidates.of_family(family)
+            forms = np.array(candidates.of_family(family))
             each = self.log_odds_of(forms) + prior
-            alike = np.array([self.unexplained(candidates.variants[form], effect) < ALIAS for form in forms])
+            likely = np.flatnonzero(each >= least)
+            left = [self.unexplained(candidates.variants[form], effect) for form in forms[likely]]
+            alike = likely[np.array(left) < ALIAS]
             odds[best] = float(logsumexp([odds[best], *each[alike]]))
-            odds[family] = float(logsumexp([-math.inf, *each[~alike]]))
+            odds[family] = float(logsumexp([-math.inf, *np.delete(each, alike)]))
         return odds
 
     def unexplained(self, form: Variant, columns: Sequence[int]) -> float:
@@ -194,7 +196,7 @@ class Scored:
         of_family = self.search.whitened.candidates.of_family(family)
         return dict(zip(of_family, self.log_odds_of(of_family).tolist(), strict=True))
 
-    def log_odds_of(self, forms: Sequence[int]) -> Floats:
+    def log_odds_of(self, forms: Sequence[int] | Ints) -> Floats:
         """Return ln of the evidence of `forms` (indices) of one family times their prior probabilities."""
         share = self.search.whitened.candidates.share
         return np.asarray(self.scores.variants[forms, 0] + np.log(share[forms]))

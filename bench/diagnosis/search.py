@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from typing import Final
 
 import numpy as np
@@ -103,14 +104,16 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
     for _ in range(len(LOG_PRIOR)):
         # heavy tails may replace the single readings found, beside the same effects
         beside_tails = tuple(one for one in naming.found if one.variant.family not in SINGLE)
-        rivals = [
-            rival
+        gains = cache(partial(_gains, prepared))
+        rivals = (
+            (prepared.log_evidence(Naming(found)) + gain, one, most)
             for found in dict.fromkeys([(), beside_tails, naming.found])
-            for rival in _under_other_noise(prepared, found, prepared.log_evidence(Naming(found)))
-            if rival[0] > score + np.log(BY_CHANCE)
-        ]
+            for gain, one, most in gains(found)
+        )
         tried = []
-        for _, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
+        for about, one, most in sorted(rivals, key=lambda rival: -rival[0])[:2]:
+            if about <= score + np.log(BY_CHANCE):
+                break
             searched, named = again(prepared, one.linear, most)
             if searched.whitened.grid.known:
                 continue  # the evidence of a fixed noise does not compare with that of an unknown one
@@ -124,39 +127,38 @@ def choose_noise(prepared: Prepared, naming: Naming, again: Reconsider) -> tuple
         if better is not None and better[0] > score + ALIAS**2 / 2.0:
             score, prepared, naming = better
             continue
-        needed = _beyond_noise(prepared, naming)
+        needed = _beyond_noise(prepared, naming, gains)
         if needed is naming:
             return prepared, naming
         score, naming = prepared.log_evidence(needed), needed  # and the noise may be another one without them
-    return prepared, _beyond_noise(prepared, naming)
+    return prepared, _beyond_noise(prepared, naming, partial(_gains, prepared))
 
 
-def _under_other_noise(
-    prepared: Prepared, found: tuple[FoundEffect, ...], own: float
-) -> Iterator[tuple[float, NoiseHypothesis, float]]:
-    """Yield ln of the evidence of other noise hypotheses beside the effects `found`, and the noise of a reading.
+Gains = Callable[[tuple[FoundEffect, ...]], list[tuple[float, NoiseHypothesis, float]]]
+"""Returns, beside some effects, the gain in ln of the evidence by each noise hypothesis, and a reading's noise."""
 
-    `own` is ln of the evidence of the present noise beside these effects.
-    """
+
+def _gains(prepared: Prepared, found: tuple[FoundEffect, ...]) -> list[tuple[float, NoiseHypothesis, float]]:
+    """Return the `Gains` of other noise than that of `prepared`."""
     effects = Naming(found).columns
     columns = prepared.candidates.columns[:, list(effects)]
     noise, grid = noise_size(prepared.whitened, prepared.data, effects), prepared.whitened.grid
-    own -= log_density(prepared.linear, columns, grid)
-    for one in noise_hypotheses(prepared.linear, columns, noise):
-        if one.what == "tails" and any(of.variant.family in SINGLE for of in found):
-            continue  # tails explain single readings, too
-        yield own + one.log_odds + log_density(one.linear, columns, grid), one, noise.reading
+    own = log_density(prepared.linear, columns, grid)
+    return [
+        (one.log_odds + log_density(one.linear, columns, grid) - own, one, noise.reading)
+        for one in noise_hypotheses(prepared.linear, columns, noise)
+        # tails explain single readings, too
+        if one.what != "tails" or all(of.variant.family not in SINGLE for of in found)
+    ]
 
 
-def _beyond_noise(prepared: Prepared, naming: Naming) -> Naming:
+def _beyond_noise(prepared: Prepared, naming: Naming, gains: Gains) -> Naming:
     """Return the effects without which the readings are improbable under all noise hypotheses together."""
     while naming.found:
-        with_all = prepared.log_evidence(naming)
         odds = []
         for weak in naming.found:
-            rest, own = tuple(one for one in naming.found if one is not weak), with_all - weak.total
-            others = [about for about, *_ in _under_other_noise(prepared, rest, own)]
-            odds.append(with_all - float(logsumexp([own, *others])))
+            rest = tuple(one for one in naming.found if one is not weak)
+            odds.append(weak.total - float(logsumexp([0.0, *(gain for gain, *_ in gains(rest))])))
         weakest = int(np.argmin(odds))
         if odds[weakest] >= prepared.limit.value:
             break
