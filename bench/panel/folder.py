@@ -84,7 +84,7 @@ class Certificates:
 
         Raises `Refused` for a damaged register.
         """
-        head = _head_of(run) if self._folder is not None else ""
+        head = head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
             return {}
@@ -110,7 +110,7 @@ class Certificates:
             return register
 
 
-def _head_of(run: Run) -> str:
+def head_of(run: Run) -> str:
     """Return the head of a run's record that the result of the calibration states; "" without a result."""
     try:
         return str(read_json(read_page(run, CALIBRATE_FILE))["record"]["head"])
