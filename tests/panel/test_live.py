@@ -175,6 +175,17 @@ def test_a_record_that_has_not_only_grown_is_not_followed(growing, lines, spoilt
         list(tail.new())
 
 
+def test_a_fault_is_told_in_words_and_not_by_the_name_of_its_event(growing):
+    record, _ = Record.reopen(growing, utc_now)
+    for kind in ("step_failed", "run_failed"):
+        record.append(kind, 1.0, step=0, key="1", instrument="voltmeter.x", error="voltmeter.x: no answer")
+    record.close()
+    follower = Follower(growing)
+    follower.look()
+    told = [line["words"] for line in follower.state()["log"]]
+    assert told == ["run failed: voltmeter.x: no answer", "step failed: voltmeter.x: no answer"]
+
+
 def test_a_record_that_is_gone_is_not_shown_as_if_it_were_there(growing, lines):
     follower = Follower(growing)
     assert not follower.look()
