@@ -194,6 +194,12 @@ class Connection(H11Protocol):
             self._late.cancel()
         super().connection_lost(exc)
 
+    def shutdown(self) -> None:
+        """Close a connection that is idle or follows a run: the server would wait for it, then cancel it."""
+        super().shutdown()
+        if self.cycle is not None and self.cycle.response_started and not self.cycle.response_complete:
+            self.transport.close()
+
     def handle_events(self) -> None:
         """Process the data received, and check whether the request is complete."""
         super().handle_events()

@@ -353,7 +353,7 @@ def _words(annotation: Any, metadata: Iterable[Any]) -> str | None:
     """Return in words what kind of value a field takes; None for a list or section, which has no field."""
     kind = quantity_of(annotation, tuple(metadata))
     if kind is not None:
-        return f"{kind.called} such as {kind.example}"
+        return f"{kind.called}, {message(f'such as {kind.example}')}"
     if _is_list(annotation):
         return message("with commas between")
     return "" if _choices(annotation) else _PLAIN.get(bare(annotation))

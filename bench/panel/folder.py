@@ -84,7 +84,7 @@ class Certificates:
 
         Raises `Refused` for a damaged register.
         """
-        head = _head_of(run) if self._folder is not None else ""
+        head = head_of(run) if self._folder is not None else ""
         register = self._read()
         if not head or register is None:
             return {}
@@ -110,7 +110,7 @@ class Certificates:
             return register
 
 
-def _head_of(run: Run) -> str:
+def head_of(run: Run) -> str:
     """Return the head of a run's record that the result of the calibration states; "" without a result."""
     try:
         return str(read_json(read_page(run, CALIBRATE_FILE))["record"]["head"])
@@ -166,6 +166,7 @@ class RunsTable:
         self._digests = Digests(folder.path)
         self._reading = threading.Lock()
         self._kept: dict[str, tuple[Stamp, RunRow]] = {}
+        self._rest = threading.Thread()
 
     def rows(self) -> list[RunRow]:
         """Return all rows; runs not read within 0.1 s (`LONGEST_LOOK_S`) have only the manifest's data."""
@@ -189,11 +190,20 @@ class RunsTable:
         )
 
     def read_all(self) -> None:
-        """Read every run once, and cache the rows."""
+        """Read every run that is not cached, and cache the rows."""
         for run in self._folder.runs():
-            self._read(run, _stamp(run.folder), wait=True)
+            stamp = _stamp(run.folder)
+            if self._kept.get(run.name, (None,))[0] != stamp:
+                self._read(run, stamp, wait=True)
         with self._reading:
             self._digests.save()
+
+    def read_the_rest(self) -> threading.Thread:
+        """Return the thread that reads the runs for which `rows` had no time; start it if it does not run."""
+        if not self._rest.is_alive():
+            self._rest = threading.Thread(target=self.read_all, daemon=True)
+            self._rest.start()
+        return self._rest
 
     def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> RunRow:
         """Return the row of a run, read from its record.

@@ -53,7 +53,7 @@ class QueueItem(_Row):
     @property
     def words(self) -> str:
         """The item in a few words, such as "17-042: calibration on bench-lan"."""
-        return f"{self.unit or 'unit of the bench file'}: {self.procedure} on {self.bench}"
+        return f"{self.unit or message('unit of the bench file')}: {self.procedure} on {self.bench}"
 
 
 class DayNote(_Row):

@@ -14,7 +14,7 @@ from bench.base.numbers import probability, rounded, scale_for, uncertainty
 from bench.base.text import as_typed
 from bench.calibration.result import LACK_OF_FIT_P, NOT_ACCEPTED_P, NOT_DETERMINED
 from bench.panel.access import Refusal
-from bench.panel.folder import RunsFolder, read_page
+from bench.panel.folder import RunsFolder, head_of, read_page
 from bench.results.parts import small_unit
 from bench.run.events import RecordError
 from bench.run.folder import CALIBRATE_FILE, DIAGNOSE_FILE, RESULTS, VERIFY_FILE, Run, statement_in
@@ -143,9 +143,25 @@ def results_of(run: Run) -> Results:
     verdict = told_by(run, VERIFY_FILE, verdict_told, trouble)
     calibration = told_by(run, CALIBRATE_FILE, _calibration, trouble)
     diagnosis = told_by(run, DIAGNOSE_FILE, _diagnosis, trouble)
+    if verdict or calibration:
+        trouble += _distrust(run)
     there = [name for name in (REPORT, DIAGNOSIS) if is_plain(run.folder / name)]
     why, diagnosable = told_by(run, RESULTS, _no_calibration, []) or ("", False)
     return Results(verdict, calibration, diagnosis, tuple(there), tuple(trouble), why, diagnosable)
+
+
+def _distrust(run: Run) -> list[str]:
+    """Return a sentence if the record, or an input, is not the one of which a run's results were made."""
+    history = run.history
+    if history.problems:
+        return [
+            message(f"Do not use these results: {'; '.join(history.problems)}; restore the run from a copy")
+        ]
+    if head_of(run) not in ("", history.head):
+        return [
+            message("Do not use these results: the record has changed since; restore the run from a copy")
+        ]
+    return []
 
 
 def _no_calibration(told: Mapping[str, Any]) -> tuple[str, bool]:

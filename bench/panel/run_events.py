@@ -22,6 +22,7 @@ from bench.run.events import (
     RecordError,
     RunState,
     Turned,
+    sha256,
     state_after_one,
 )
 from bench.run.person import AskedPrompt
@@ -209,13 +210,14 @@ class Tail:
         self._path = folder / EVENTS
         self._read = 0
         self._count = 0
+        self._head = ""
 
     def grown(self) -> bool:
-        """Return whether the record has unread content; also True if the file has become shorter."""
+        """Return whether the record has unread content; also True if the file is shorter now, or gone."""
         try:
             return self._path.stat().st_size != self._read
         except OSError:
-            return False
+            return self._read > 0
 
     def new(self) -> Iterator[Event]:
         """Yield events since the last call; in the middle of a long record, starts of steps are left out.
@@ -233,26 +235,34 @@ class Tail:
                 for line in file:
                     if not line.endswith(b"\n"):
                         return
-                    if self._count > KEPT_LINES and size - self._read > KEPT_BYTES and _BEGUN in line[:HEAD]:
-                        self._count, self._read = self._count + 1, self._read + len(line)
+                    if (
+                        self._count > KEPT_LINES
+                        and size - self._read > KEPT_BYTES
+                        and _BEGUN in line[:HEAD]
+                        and line.endswith(f'"{self._head}"}}\n'.encode())
+                    ):
+                        self._pass(line)
                         continue
                     yield self._event(line)
-        except FileNotFoundError:
-            return
         except OSError as error:
+            if isinstance(error, FileNotFoundError) and not self._read:
+                return
             raise RecordError(
                 f"{self._path}: cannot be read ({error.strerror}); check its permissions"
             ) from error
 
     def _event(self, line: bytes) -> Event:
         try:
-            event, _ = parse_line(line)
+            event, previous = parse_line(line)
         except ValueError as error:
             raise self._broken() from error
-        if event.number != self._count + 1:
+        if event.number != self._count + 1 or self._head not in ("", previous):
             raise self._broken()
-        self._count, self._read = event.number, self._read + len(line)
+        self._pass(line)
         return event
+
+    def _pass(self, line: bytes) -> None:
+        self._count, self._read, self._head = self._count + 1, self._read + len(line), sha256(line[:-1])
 
     def _broken(self) -> RecordError:
         return RecordError(

@@ -417,13 +417,13 @@ def _answer(event: Event) -> dict[str, Any]:
 def _line(event: Event, seen: RunView) -> dict[str, Any]:
     by = " ".join(str(event.data[name]) for name in ("by", "role", "where") if event.data.get(name))
     try:
-        words = in_words(event, seen.plan)
+        words = in_words(event, seen.plan).replace(event.type, event.type.replace("_", " "), 1)
     except (KeyError, IndexError, TypeError):
-        words = event.type
+        words = event.type.replace("_", " ")
     return {
         "n": event.number,
         "time": event.time,
-        "words": words.replace("_", " ") if words == event.type else words,
+        "words": words,
         "by": "" if event.data.get("by") and str(event.data["by"]) in words else by,
         "kind": event.type,
     }

@@ -88,14 +88,17 @@ def _verdict(run: Run) -> str | None:
 def _state_and_next(run: Run, digest: Digest) -> tuple[str, str]:
     """Return the state of a run in words, and the command that continues it (empty if nothing is to be done)."""
     if digest.problems:
-        return "damaged", f"bench show {name_to_type(run.folder)} --verify"
+        return message("damaged"), f"bench show {name_to_type(run.folder)} --verify"
     if run.imported:
         return "imported", ""
     state = digest.state
     wanted = run.results_missing if state is RunState.FINISHED else state not in ENDED
     if not wanted or is_being_written(run.folder):
         return state.value, ""
-    alive = {RunState.READY: "not begun", RunState.RUNNING: "unfinished", RunState.PAUSED: "unfinished"}
+    unfinished = message("unfinished")
+    alive = {
+        RunState.READY: message("not begun"), RunState.RUNNING: unfinished, RunState.PAUSED: unfinished,
+    }  # fmt: skip
     return alive.get(state, state.value), f"bench resume {resume_to_type(run.folder)}"
 
 

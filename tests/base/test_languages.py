@@ -19,7 +19,7 @@ from bench.base.languages import (
     translated,
 )
 from bench.base.template_texts import environment_for
-from bench.run.person import in_english
+from bench.run.person import in_english, problem_with_answer
 from benchmarks import translations
 from drivers.person import Prompt, PromptKind
 
@@ -246,6 +246,22 @@ def test_english_templates_are_rendered_as_they_stand():
 def test_answers_are_understood_in_the_language_of_the_prompt(ukrainian, kind, choices, typed, told):
     prompt = Prompt(id="1", kind=kind, text="?", choices=choices)
     assert in_english(prompt, typed) == told
+
+
+@pytest.mark.parametrize(
+    ("action", "unit"),
+    [
+        ({"do": "read_temperature"}, "°C"),
+        ({"do": "read_level", "division_rad": 1e-5}, ""),
+        ({"do": "read_supply"}, "A"),
+        ({"do": "read_supply"}, "V"),
+    ],
+)
+def test_what_is_no_number_is_refused_in_the_language_of_the_page(ukrainian, action, unit):
+    prompt = Prompt("1", PromptKind.NUMBER, "", unit=unit, action=action)
+    problem = problem_with_answer(prompt, "abc")
+    assert not problem.endswith(".")
+    assert translated(problem).startswith("Це не ")
 
 
 def test_scripts_get_texts_that_a_browser_reads():

@@ -80,3 +80,13 @@ def test_a_killed_run_is_told_and_gone_on_with_by_a_button(visit, run):
     assert (history.state, history.problems, len(run.of_type("run_resumed"))) == ("finished", (), 1)
     answered = [event["id"] for event in run.of_type("answered")]
     assert len(set(answered)) == len(answered)
+
+
+def test_without_a_connection_a_run_that_has_ended_is_not_said_to_continue(visit, panel):
+    page = visit("/runs/done/", viewport=WIDE)
+    page.wait_for_selector("#live[data-ended=true]", state="attached")
+    page.route("**/stream", lambda route: route.abort())
+    page.evaluate("const late = performance.now.bind(performance); performance.now = () => late() + 60_000")
+    page.wait_for_selector("#lost", state="visible")
+    assert "this page is out of date" in page.inner_text("#lost")
+    assert "continues" not in page.inner_text("#lost")

@@ -201,6 +201,15 @@ def test_stop_is_in_view_wherever_one_scrolls_and_the_angle_is_read_from_afar(vi
     assert page.locator("#alarm").is_hidden()  # a question is no alarm
 
 
+def test_the_words_of_a_link_are_in_the_middle_of_its_button(visit):
+    page = visit("/check")
+    box, words = page.locator("a.button.primary").evaluate(
+        "at => { const words = document.createRange(); words.selectNodeContents(at);"
+        " return [at, words].map(one => one.getBoundingClientRect()).map(one => (one.top + one.bottom) / 2); }"
+    )
+    assert words == pytest.approx(box, abs=2.0)
+
+
 def test_what_strangers_wrote_is_text_on_every_page(visit, panel, asked):
     for name in ("done", "asked"):
         manifest = panel.runs / name / MANIFEST

@@ -1,6 +1,8 @@
 """Who may come in, and what a stranger's request meets."""
 
 import asyncio
+import re
+import shutil
 import stat
 from datetime import UTC, datetime, timedelta
 
@@ -8,7 +10,8 @@ import pytest
 
 from bench.panel.access import LINKS, SESSIONS, STATE, TOKENS, Access, Role, Settings
 from bench.panel.app import make_app
-from bench.run.events import RecordError
+from bench.panel.launching import TrialResult, WantedRun, Wishes
+from bench.run.events import EVENTS, RecordError
 from tests.support.campaigns import seeds
 from tests.support.panel_client import HOME, OWN, Browser, TestClient, stranger
 from tests.support.panel_fuzz import Place, fuzz
@@ -63,6 +66,38 @@ def test_every_page_is_there_in_ukrainian(judged, anna):
         assert (path, reply.status_code) == (path, 200)
         assert "Черга</a>" in reply.text
     assert anna.get("/none", headers={"accept-language": "uk"}).status_code == 404
+
+
+CHECK = {
+    "procedure": "quick", "bench": "paper-stand", "steps": 70, "operator_actions": 28, "problems": [], "hints": [],
+    "dry_run_refuses": [], "expected_s": 60.0, "longest_s": 60.0,
+}  # fmt: skip
+
+
+def test_no_english_is_left_on_ukrainian_pages(runs, judged, anna):
+    said = {}
+    shutil.copytree(judged, runs / "cut")
+    (runs / "cut" / EVENTS).write_bytes(b"".join((judged / EVENTS).read_bytes().splitlines(True)[:-9]))
+    anna.post("/queue", units="", procedure="quick", bench="paper-stand")
+    wish = Wishes(runs / STATE / "wishes").new(WantedRun({"procedure": "quick.yaml", "dry_run": True}))
+    wish.tell(TrialResult("done", check=CHECK, tried=0))
+    for path in ("/", "/queue", "/procedures/form?start=quick", f"/start/{wish.id}"):
+        page = anna.get(path, headers={"accept-language": "uk"})
+        assert page.status_code == 200
+        said[path] = re.sub(r"<[^>]*>", " ", page.text)
+    english = {
+        "unfinished",
+        "of the bench file",
+        "About ",
+        "Before the first",
+        "from quick",
+        "Start the",
+        " such as ",
+    }
+    assert [(path, words) for path in said for words in english if words in said[path]] == []
+    assert "не завершено" in said["/"]
+    assert "тривалість, наприклад 30 s" in said["/procedures/form?start=quick"]
+    assert "Почати тренування" in said[f"/start/{wish.id}"]
 
 
 # --- tokens -----------------------------------------------------------------------------------------

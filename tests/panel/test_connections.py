@@ -10,7 +10,7 @@ import socket
 import pytest
 
 from bench.panel import app as connections
-from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, STATE, Access, Role
+from bench.panel.access import LARGEST_BODY, MOST_SESSIONS, STATE, Access, Role, Settings
 from bench.panel.app import OncePerMinute
 from bench.panel.shared import LOG
 from tests.support.panel_client import OWN, Browser, stranger
@@ -91,6 +91,23 @@ def test_what_a_client_breaks_leaves_a_line_and_no_traceback(tmp_path, monkeypat
         assert exchanged(panel, "GET /sign-in", "Connection: close\r\n\r\n").startswith(b"HTTP/1.1 200")
     assert not [record.getMessage() for record in written if record.levelno > logging.WARNING]
     assert len(written) <= 2
+
+
+@pytest.mark.slow
+def test_a_panel_that_is_stopped_ends_its_live_pages_without_a_traceback(tmp_path, monkeypatch):
+    written = []
+    monkeypatch.setattr(LOG, "callHandlers", written.append)  # behind the filters
+    shutil.copytree(RECORDS / "finished", tmp_path / "done")
+    with contextlib.ExitStack() as still_open:
+        with served(tmp_path) as panel:
+            page = still_open.enter_context(connected(panel))
+            session = Access(tmp_path / STATE).sign_in_by_token(panel.token("anna", Role.VIEWER))
+            head = HEAD.replace("{}", "GET /runs/done/stream").format(host=f"127.0.0.1:{panel.port}")
+            cookie = Settings(tmp_path, port=panel.port).cookie
+            page.sendall(f"{head}Cookie: {cookie}={session.secret}\r\n\r\n".encode())
+            assert page.recv(65_536).startswith(b"HTTP/1.1 200")
+        until_closed(page)
+    assert [record.getMessage() for record in written] == []
 
 
 def test_a_warning_is_written_once_a_minute_and_an_error_always():

@@ -175,6 +175,38 @@ def test_a_record_that_has_not_only_grown_is_not_followed(growing, lines, spoilt
         list(tail.new())
 
 
+def test_a_fault_is_told_in_words_and_not_by_the_name_of_its_event(growing):
+    record, _ = Record.reopen(growing, utc_now)
+    for kind in ("step_failed", "run_failed"):
+        record.append(kind, 1.0, step=0, key="1", instrument="voltmeter.x", error="voltmeter.x: no answer")
+    record.close()
+    follower = Follower(growing)
+    follower.look()
+    told = [line["words"] for line in follower.state()["log"]]
+    assert told == ["run failed: voltmeter.x: no answer", "step failed: voltmeter.x: no answer"]
+
+
+def test_a_record_that_is_gone_is_not_shown_as_if_it_were_there(growing, lines):
+    follower = Follower(growing)
+    assert not follower.look()
+    append(growing, b"".join(lines[:3]))
+    assert follower.look()
+    (growing / EVENTS).unlink()
+    with pytest.raises(RecordError, match="cannot be read"):
+        follower.look()
+
+
+@pytest.mark.parametrize("kept", [100, 8])
+def test_a_record_with_a_changed_line_is_not_followed(growing, lines, monkeypatch, kept):
+    monkeypatch.setattr("bench.panel.run_events.KEPT_LINES", kept)
+    monkeypatch.setattr("bench.panel.run_events.KEPT_BYTES", 12_000)
+    for at in (12, 13, 14):
+        changed = lines[at].replace(b'"bench_s": ', b'"bench_s": 1')
+        (growing / EVENTS).write_bytes(b"".join([*lines[:at], changed, *lines[at + 1 :]]))
+        with pytest.raises(RecordError, match=rf"line {at + 2}: the record cannot be trusted"):
+            list(Tail(growing).new())
+
+
 def test_followed_line_by_line_it_is_what_it_is_at_once(growing, lines):
     follower = Follower(growing)
     for line in lines:

@@ -103,6 +103,15 @@ def test_a_run_without_calibration_says_why_and_offers_the_diagnosis_if_it_may_h
         assert ('action="/runs/run/diagnose"' in page) == diagnosable
 
 
+def test_a_run_that_was_given_up_leads_to_the_next_one(runs, anna):
+    shutil.copytree(RECORDS / "interrupted", runs / "one")
+    assert "like=one" not in anna.get("/runs/one/").text
+    assert anna.post("/runs/one/give-up").status_code == 303
+    page = anna.get("/runs/one/").text
+    assert '<p class="todo">The run is aborted' in page
+    assert '<a class="button" href="/start?like=one">Next unit</a>' in page
+
+
 def test_a_conditional_pass_offers_no_diagnosis(judged):
     change(judged / "verify.json", passed=False, statement="conditional pass")
     assert outcome(judged).misfit == ""

@@ -137,6 +137,13 @@ def test_a_page_does_not_wait_while_others_are_being_read(runs):
     assert UNREAD not in {row.state for row in table.rows()}
 
 
+def test_runs_that_are_said_to_be_read_are_read_without_a_further_page(runs, anna, monkeypatch):
+    monkeypatch.setattr("bench.panel.folder.LONGEST_LOOK_S", -1.0)
+    assert "2 are still being read" in anna.get("/").text
+    anna.client.app.state.panel.table.read_the_rest().join()
+    assert "still being read" not in anna.get("/").text
+
+
 def test_the_end_of_a_long_record_tells_whether_it_is_paused(tmp_path):
     record = tmp_path / "events.jsonl"
     lines = [{"type": "run_started"}, {"type": "run_paused"}, {"type": "x", "text": '"run_continued"'}]

@@ -12,6 +12,8 @@ from bench.certificate.register import ISSUED, Register
 from bench.panel.access import STATE, Access, Role, Settings
 from bench.panel.app import make_app
 from bench.panel.own_files import NEXT
+from bench.run.events import EVENTS
+from bench.run.folder import BENCH
 from bench.services.chain import Entry, opened
 from tests.support.pages import ROOT
 from tests.support.panel_client import HOME, OWN, Browser, TestClient
@@ -126,6 +128,29 @@ def test_a_damaged_result_is_said_to_be_one(anna, runs, name, text):
     page = anna.get("/runs/one/verdict")
     assert page.status_code == 200
     assert text == "null" or f"{name}: cannot be read" in page.text
+
+
+@pytest.mark.parametrize(
+    ("spoil", "told"),
+    [
+        (lambda record: record.replace(b'"bench_s": ', b'"bench_s": 1', 2), "the chain is broken here"),
+        (lambda record: b"".join(record.splitlines(keepends=True)[:-9]), "the record has changed since"),
+    ],
+    ids=["a digit", "the end"],
+)
+def test_results_of_another_record_are_not_to_be_used(anna, judged, spoil, told):
+    assert "Do not use" not in anna.get("/runs/run/").text + anna.get("/runs/run/verdict").text
+    (judged / EVENTS).write_bytes(spoil((judged / EVENTS).read_bytes()))
+    said = words(anna.get("/runs/run/verdict"))
+    assert "Do not use these results: " in said
+    assert told in said
+
+
+def test_a_run_of_another_bench_file_is_not_to_be_used(anna, judged):
+    with (judged / BENCH).open("a") as file:
+        file.write("# changed\n")
+    for page in ("", "verdict"):
+        assert "Do not use these results: bench.yaml" in anna.get(f"/runs/run/{page}").text
 
 
 def test_a_run_without_results_says_so(anna):

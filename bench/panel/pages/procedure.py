@@ -489,12 +489,14 @@ def check_beside(procedure: Procedure, bench: str, runs: Path) -> CheckBeside:
     except FileMistakes as mistakes:
         return CheckBeside(problems=(message(f"the bench file has mistakes: {mistakes.mistakes[0].text}"),))
     found = findings_of(plan, file, runs).result
-    longest = message(f" (at most {duration(found.longest_s)})") if found.longest_s > found.expected_s else ""
+    expected, longest = duration(found.expected_s), duration(found.longest_s)
     told = [
         message(f"{found.steps} steps, {found.operator_actions} operator actions, "
         f"{found.counts.get('read', 0)} readings."),
-        f"About {duration(found.expected_s)}{longest}.",
-        *(f"{'Before the first mounting' if not label else f'Installation {label}'}: {duration(seconds)}."
+        message(f"About {expected} (at most {longest}).") if found.longest_s > found.expected_s
+        else message(f"About {expected}."),
+        *(message(f"Installation {label}: {duration(seconds)}.") if label
+          else message(f"Before the first mounting: {duration(seconds)}.")
           for label, seconds in found.expected_by_installation_s.items()),
         *(message(f"Not determined: {', '.join(one.coefficients)}.")
           for one in found.not_determined if one.coefficients),

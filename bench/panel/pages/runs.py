@@ -31,6 +31,8 @@ def runs(request: Request) -> Response:
     """Show the runs that match the search, newest first."""
     looking(request)
     every = panel_of(request).table.rows()
+    if unread := sum(row.state == UNREAD for row in every):
+        panel_of(request).table.read_the_rest()
     asked = {name: request.query_params.get(name, "")[:LONGEST_SEARCH] for name in ("search", *FILTERS)}
     wanted = {name: asked[name] for name in FILTERS}
     words = tuple(asked["search"].casefold().split())
@@ -43,7 +45,7 @@ def runs(request: Request) -> Response:
         rows=found[(number - 1) * ON_A_PAGE : number * ON_A_PAGE],
         found=len(found),
         total=len(every),
-        unread=sum(row.state == UNREAD for row in every),
+        unread=unread,
         asked=asked,
         choices=_choices(every, asked),
         page=number,

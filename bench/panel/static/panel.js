@@ -517,7 +517,7 @@
     const silent = (performance.now() - heard) / 1000, cut = lost();
     document.body.classList.toggle("stale", cut);
     show("lost", cut);
-    if (cut) put("lost", gone || _(`✗ No connection to the panel for ${seconds(silent)}: this page is out of date. The run continues.`));
+    if (cut) put("lost", gone || _(`✗ No connection to the panel for ${seconds(silent)}: this page is out of date.`) + (state.alive && !state.ended ? ` ${_("The run continues.")}` : ""));
     const age = state.last_time ? _(`last event ${seconds(Math.max(0, (now() - Date.parse(state.last_time)) / 1000))} ago`) : _("no event yet");
     put("age", `${cut ? _("✗ not connected") : _("● connected")} · ${age}`);
     if (state.soak) {
