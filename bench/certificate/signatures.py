@@ -108,7 +108,8 @@ def check_xml(document: bytes) -> SignedXml:
     allowed = methods.SignatureMethod
     config = xades.XAdESSignatureConfiguration(
         expect_references=3,
-        verification_time=when,
+        # the signature alone is checked here; `why_not_trusted` compares its time with the certificate
+        verification_time=certificates[0].not_valid_before_utc,
         signature_methods=frozenset(
             one
             for one in allowed
