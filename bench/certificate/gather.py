@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -160,11 +160,17 @@ def _missing_before(certificate: Certificate) -> Iterator[str]:
         yield message(f"{what} is {'simulated' if before.simulated else 'real'}, the calibrated one is not")
     elif before.days is not None and certificate.calibrated is not None:
         last, first = before.days[1], certificate.calibrated[0]
-        of_one_day = last == first and found.days is not None
-        if last > first or (
-            of_one_day and datetime.fromisoformat(before.ended) > datetime.fromisoformat(found.begun)
-        ):
+        if last > first:
             yield message(f"{what} ended on {last}, after the calibration began on {first}")
+        elif last == first and found.days is not None:
+            ended, begun = (
+                datetime.fromisoformat(time).astimezone(UTC) for time in (before.ended, found.begun)
+            )
+            if ended > begun:
+                yield message(
+                    f"{what} ended at {ended:%H:%M:%S} on {last}, after the calibration began at "
+                    f"{begun:%H:%M:%S} (UTC)"
+                )
 
 
 def found_by(

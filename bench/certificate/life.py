@@ -17,7 +17,15 @@ from bench.base.text import as_typed
 from bench.base.yaml_files import Document, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
-from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of, load_laboratory, load_order
+from bench.certificate.laboratory import (
+    Laboratory,
+    Order,
+    Person,
+    as_issued,
+    laboratory_of,
+    load_laboratory,
+    load_order,
+)
 from bench.certificate.register import ISSUED, REVOKED, NumberStatus, Register
 from bench.results.certificate import IssuedRun, RegisteredCertificate, RegisterResult
 from bench.services.chain import Entry, opened
@@ -346,8 +354,7 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
     for digest in filter(None, kept.values()):
         register.kept(digest)
-    laboratory = laboratory_of(load_document(paths["laboratory"]), paths.get("logo"))
-    order = validated(load_document(paths["order"]), Order)
+    laboratory, order = as_issued(paths["laboratory"], paths["order"], paths.get("logo"))
     before = entry.data["before"]
     issue = Issue(
         number,
