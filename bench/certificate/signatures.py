@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import logging
 from binascii import unhexlify
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -23,6 +24,10 @@ _SIGNED_PROPERTIES: Final = "http://uri.etsi.org/01903#SignedProperties"
 _ENVELOPED: Final = f"{SIGNATURE}enveloped-signature"
 _CANONICAL: Final = "http://www.w3.org/2006/12/xml-c14n11"
 _MOST_BYTES: Final = 64_000_000
+
+logging.getLogger("pyhanko").setLevel(
+    logging.CRITICAL
+)  # the sentences of a verification replace its tracebacks
 
 
 ORIGINAL: Final = "ask the laboratory for the original"

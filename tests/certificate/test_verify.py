@@ -101,7 +101,9 @@ def test_with_one_it_is_of_the_signer_or_of_another(written):
         ({"key": rsa.generate_private_key(65537, 1024)}, "its key has 1024 bits"),  # noqa: S505
     ],
 )
-def test_a_key_that_may_not_sign_is_not_trusted_and_changes_nothing(made, tmp_path, change, why, trusted):
+def test_a_key_that_may_not_sign_is_not_trusted_and_changes_nothing(
+    made, tmp_path, caplog, change, why, trusted
+):
     """Of a certificate that an expired key signed, the program said that it was changed."""
     change = dict(change)
     key = change.pop("key", None) or ec.generate_private_key(ec.SECP256R1())
@@ -114,6 +116,7 @@ def test_a_key_that_may_not_sign_is_not_trusted_and_changes_nothing(made, tmp_pa
         verdict = looked_at(file, trust_in(tmp_path, root.certificate) if trusted else None)
         assert (verdict.verdict, verdict.accepted) == ("intact, signer not trusted", False)
         assert why in verdict.why_not_trusted
+    assert not caplog.records, "a package told of it with a traceback"
     with pytest.raises(Refused, match="not read, as its "):
         coefficients_in(tmp_path / "c.xml")
 
