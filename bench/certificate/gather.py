@@ -123,6 +123,7 @@ def _missing(certificate: Certificate) -> Iterator[str]:
             "'without_certificates' in the order file"
         )
     yield from _missing_before(certificate)
+    yield from _accreditation_ended(certificate)
     if doubts := found.result.doubts:
         yield message(
             f"agreement with the data sheet: {'; '.join(doubts)}; correct wiring or labels and measure again; if "
@@ -146,6 +147,18 @@ def _missing(certificate: Certificate) -> Iterator[str]:
     elif certificate.issue is not None and certificate.issue.day < str(ended):
         yield message(
             f"a day of issue (7.8.2.1 j) after the calibration: {certificate.issue.day} is before {ended}"
+        )
+
+
+def _accreditation_ended(certificate: Certificate) -> Iterator[str]:
+    issue, house = certificate.issue, certificate.laboratory
+    held = None if house is None else house.accreditation
+    if issue is None or certificate.simulated or held is None or held.valid_until is None:
+        return  # drafts and simulated certificates do not name the accreditation
+    if issue.day > str(held.valid_until):
+        yield message(
+            f"an accreditation valid on the day of issue: {held.number} ended on {held.valid_until}; correct or "
+            "remove 'accreditation' in the laboratory file"
         )
 
 

@@ -174,11 +174,12 @@ class Person(Printed):
 
 
 class Accreditation(Printed):
-    """The accreditation of a laboratory: the accreditation body and the number."""
+    """The accreditation of a laboratory: the accreditation body, the number and the last day, if it is stated."""
 
     body: str
     number: str
     standard: str = "ISO/IEC 17025:2017"
+    valid_until: Day | None = None
 
 
 def _language(written: object) -> object:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from bench.base.files import read_json, read_regular, write_whole
 from bench.base.languages import message
 from bench.base.text import as_typed
-from bench.base.yaml_files import Document, load_document, validated
+from bench.base.yaml_files import Document, document_of, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
 from bench.certificate.laboratory import (
@@ -210,6 +210,13 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
         if old.data["unit"] != {"type": item.type, "serial": item.serial}:
             raise Refused(
                 f"{number}: the certificate is for another unit than {name}; name a run of the same unit"
+            )
+        stored = register.kept(old.data["made_from"]["laboratory"])
+        house = str(document_of(desk.laboratory_file.path, stored).data["name"]).strip()
+        if house != desk.laboratory.name:
+            raise Refused(
+                f"{number}: {house} issued it, not {desk.laboratory.name}; name its file with --laboratory or, if "
+                "only the name changed, revoke the certificate and issue a new one"
             )
         if not replaced and old.data["record"]["head"] != certificate.found.record.head:
             raise Refused(

@@ -16,7 +16,7 @@ from bench.calibration.conformity import DecisionRule
 from bench.certificate.content import Issue, rule_said
 from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of, missing
-from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
+from bench.certificate.laboratory import Accreditation, Adjusted, Person, load_laboratory, load_order
 from bench.certificate.verify import Findings, against_record
 from bench.config.devices.device import Certificate as Held
 from bench.model.geometry import COEFFICIENTS
@@ -231,6 +231,17 @@ def test_no_certificate_is_declared_invalid_because_the_order_would_have_accepte
         xml = document_of(one)
         assert (b"Not all instruments have valid certificates" in xml) is said
         assert (b"a comparison in the house" in xml) is (said and one is lacking)
+
+
+def test_an_accreditation_that_ended_is_not_on_the_certificate(certificate):
+    """It may have been valid on the day of the run, and no longer on that of the issue."""
+    held = Accreditation(body="B", number="A-1", valid_until=date(2026, 11, 30))
+    house = certificate.laboratory.model_copy(update={"accreditation": held})
+    real = replace(certificate, laboratory=house, found=replace(certificate.found, simulated=False))
+    for day, ended in (("2026-11-30", False), ("2026-12-01", True)):
+        lacking = missing(replace(real, issue=Issue("2026-0001", f"{day}T12:00:00+00:00", Person(name="A"))))
+        assert any("A-1 ended on 2026-11-30" in text for text in lacking) is ended
+    assert missing(replace(real, found=certificate.found)) == missing(certificate) == ()
 
 
 def test_no_coverage_probability_is_100_percent(certificate):
