@@ -285,6 +285,12 @@ class Certificate:
         return math.erf(self.k / math.sqrt(2.0))
 
     @property
+    def coverage_percent(self) -> str:
+        """The coverage probability in percent, below 100: 95.45 for k = 2, 99.9999 for k = 5."""
+        percent = 100.0 * self.coverage
+        return f"{percent:.4g}" if percent < 99.99 else f"{percent:.6g}"
+
+    @property
     def place(self) -> str:
         """The place of the calibration; empty if not stated."""
         stated = self.order.place if self.order is not None else None
@@ -303,6 +309,12 @@ class Certificate:
         used = (one for run in runs for one in run.instruments)
         lacking = (one.name for one in used if one.role in {"voltmeter", "head"} and not one.certified)
         return tuple(dict.fromkeys(lacking))
+
+    @property
+    def why_untraced(self) -> str:
+        """Why instruments without a valid certificate were accepted, or their names; "" if none lacks it."""
+        agreed = None if self.order is None else self.order.without_certificates
+        return (agreed or ", ".join(self.uncertified)) if self.uncertified else ""
 
     @property
     def state(self) -> str:

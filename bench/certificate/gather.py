@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import datetime
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -123,6 +123,7 @@ def _missing(certificate: Certificate) -> Iterator[str]:
             "'without_certificates' in the order file"
         )
     yield from _missing_before(certificate)
+    yield from _accreditation_ended(certificate)
     if doubts := found.result.doubts:
         yield message(
             f"agreement with the data sheet: {'; '.join(doubts)}; correct wiring or labels and measure again; if "
@@ -149,6 +150,18 @@ def _missing(certificate: Certificate) -> Iterator[str]:
         )
 
 
+def _accreditation_ended(certificate: Certificate) -> Iterator[str]:
+    issue, house = certificate.issue, certificate.laboratory
+    held = None if house is None else house.accreditation
+    if issue is None or certificate.simulated or held is None or held.valid_until is None:
+        return  # drafts and simulated certificates do not name the accreditation
+    if issue.day > str(held.valid_until):
+        yield message(
+            f"an accreditation valid on the day of issue: {held.number} ended on {held.valid_until}; correct or "
+            "remove 'accreditation' in the laboratory file"
+        )
+
+
 def _missing_before(certificate: Certificate) -> Iterator[str]:
     found, before = certificate.found, certificate.as_found
     if before is None:
@@ -160,11 +173,17 @@ def _missing_before(certificate: Certificate) -> Iterator[str]:
         yield message(f"{what} is {'simulated' if before.simulated else 'real'}, the calibrated one is not")
     elif before.days is not None and certificate.calibrated is not None:
         last, first = before.days[1], certificate.calibrated[0]
-        of_one_day = last == first and found.days is not None
-        if last > first or (
-            of_one_day and datetime.fromisoformat(before.ended) > datetime.fromisoformat(found.begun)
-        ):
+        if last > first:
             yield message(f"{what} ended on {last}, after the calibration began on {first}")
+        elif last == first and found.days is not None:
+            ended, begun = (
+                datetime.fromisoformat(time).astimezone(UTC) for time in (before.ended, found.begun)
+            )
+            if ended > begun:
+                yield message(
+                    f"{what} ended at {ended:%H:%M:%S} on {last}, after the calibration began at "
+                    f"{begun:%H:%M:%S} (UTC)"
+                )
 
 
 def found_by(

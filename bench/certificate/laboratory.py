@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 import yaml
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from bench.base.languages import ENGLISH, known_language, local_number, speaking
 from bench.base.yaml_files import (
@@ -47,9 +47,12 @@ LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for langu
 _BLANK: Final = re.compile(r"\{([a-z_]+)\}")
 _FIXED: Final = frozenset({
     "draft", "draft_unsigned_text", "simulated", "unsigned", "unsigned_text", "statement_unsigned", "expired",
-    "no_certificate", *map(str, Statement),
+    "no_certificate", "untraced_text", "statement_affected", "accepted", "not_accepted", *map(str, Statement),
 })  # fmt: skip
 """Keys of the texts that limit what a certificate is worth, and of the statements of conformity."""
+
+_AS_ISSUED: Final = "as issued"
+"""Context of a file that was stored when a certificate was issued: its texts are not judged again."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,18 @@ def stated_fields(
 class Printed(FileModel):
     """A part of a file whose texts are printed: spaces around a text are removed, and spaces alone are no text."""
 
-    model_config = ConfigDict(str_strip_whitespace=True)
+    @model_validator(mode="before")
+    @classmethod
+    def _without_spaces(cls, data: Any, info: ValidationInfo) -> Any:
+        return data if info.context == _AS_ISSUED else _stripped(data)
+
+
+def _stripped(data: Any) -> Any:
+    if isinstance(data, dict):
+        return {name: _stripped(value) for name, value in data.items()}
+    if isinstance(data, list | tuple):
+        return [_stripped(value) for value in data]
+    return data.strip() if isinstance(data, str) else data
 
 
 class Address(Printed):
@@ -160,11 +174,12 @@ class Person(Printed):
 
 
 class Accreditation(Printed):
-    """The accreditation of a laboratory: the accreditation body and the number."""
+    """The accreditation of a laboratory: the accreditation body, the number and the last day, if it is stated."""
 
     body: str
     number: str
     standard: str = "ISO/IEC 17025:2017"
+    valid_until: Day | None = None
 
 
 def _language(written: object) -> object:
@@ -289,12 +304,21 @@ def load_laboratory(path: Path) -> Laboratory:
     return laboratory_of(load_document(path))
 
 
-def laboratory_of(document: Document, logo: Path | None = None) -> Laboratory:
-    """Return the laboratory in a loaded file, with the given `logo`. Raises `FileMistakes` with every mistake."""
+def laboratory_of(document: Document) -> Laboratory:
+    """Return the laboratory in a loaded file. Raises `FileMistakes` with every mistake."""
     laboratory = validated(document, Laboratory)
     laboratory._file = document.path.absolute()
-    laboratory._logo = logo
     return laboratory
+
+
+def as_issued(laboratory: Path, order: Path, logo: Path | None) -> tuple[Laboratory, Order]:
+    """Return laboratory and order from files stored with a certificate, as at its issue.
+
+    Later rules for their texts do not apply. Raises `FileMistakes` or `ValueError` for a file that cannot be read.
+    """
+    house = Laboratory.model_validate(load_document(laboratory).data, context=_AS_ISSUED)
+    house._logo = logo
+    return house, Order.model_validate(load_document(order).data, context=_AS_ISSUED)
 
 
 AS_FOUND, AS_LEFT = "as found", "as left"
@@ -367,7 +391,7 @@ class Order(Printed, StatedRule):
 
     customer: Contact
     number: str
-    date: Day | None = None
+    date: Annotated[Day | None, OnCertificate("front")] = None
     units: Annotated[tuple[UnitOrder, ...], Field(min_length=1)]
     place: str | None = None
     agreed: Annotated[tuple[str, ...], OnCertificate("method")] = ()

@@ -14,10 +14,18 @@ from typing import TYPE_CHECKING, Any
 from bench.base.files import read_json, read_regular, write_whole
 from bench.base.languages import message
 from bench.base.text import as_typed
-from bench.base.yaml_files import Document, load_document, validated
+from bench.base.yaml_files import Document, document_of, load_document, validated
 from bench.certificate.content import Before, Certificate, Issue
 from bench.certificate.gather import certificate_of, issued_at, missing
-from bench.certificate.laboratory import Laboratory, Order, Person, laboratory_of, load_laboratory, load_order
+from bench.certificate.laboratory import (
+    Laboratory,
+    Order,
+    Person,
+    as_issued,
+    laboratory_of,
+    load_laboratory,
+    load_order,
+)
 from bench.certificate.register import ISSUED, REVOKED, NumberStatus, Register
 from bench.results.certificate import IssuedRun, RegisteredCertificate, RegisterResult
 from bench.services.chain import Entry, opened
@@ -203,6 +211,13 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
             raise Refused(
                 f"{number}: the certificate is for another unit than {name}; name a run of the same unit"
             )
+        stored = register.kept(old.data["made_from"]["laboratory"])
+        house = str(document_of(desk.laboratory_file.path, stored).data["name"]).strip()
+        if house != desk.laboratory.name:
+            raise Refused(
+                f"{number}: {house} issued it, not {desk.laboratory.name}; name its file with --laboratory or, if "
+                "only the name changed, revoke the certificate and issue a new one"
+            )
         if not replaced and old.data["record"]["head"] != certificate.found.record.head:
             raise Refused(
                 f"{number}: the certificate is for another run than {name} ({old.data['run']}); name that run, "
@@ -346,8 +361,7 @@ def made_again(register: Register, number: str, runs: Path) -> Bodies:
     paths = {name: register.folder / "made-from" / digest for name, digest in kept.items() if digest}
     for digest in filter(None, kept.values()):
         register.kept(digest)
-    laboratory = laboratory_of(load_document(paths["laboratory"]), paths.get("logo"))
-    order = validated(load_document(paths["order"]), Order)
+    laboratory, order = as_issued(paths["laboratory"], paths["order"], paths.get("logo"))
     before = entry.data["before"]
     issue = Issue(
         number,

@@ -230,7 +230,7 @@ def _condition(one: Condition, write: Writer) -> list[Cell]:
 
 
 def _equipment(write: Writer) -> list[Block]:
-    found, order = write.certificate.found, write.certificate.order
+    found = write.certificate.found
     head = [write.say(key) for key in ("instrument", "identification", "certificate_of", "valid_until")]
     blocks = [
         write.heading("equipment"),
@@ -238,9 +238,8 @@ def _equipment(write: Writer) -> list[Block]:
             head, [_instrument(one, write) for one in found.instruments], "llll", [0.9, 1.4, 1.6, 0.8]
         ),
     ]
-    if names := write.certificate.uncertified:
-        reason = None if order is None else order.without_certificates
-        blocks.append(write.words("untraced_text", reason=reason or ", ".join(names)))
+    if reason := write.certificate.why_untraced:
+        blocks.append(write.words("untraced_text", reason=reason))
     return [*blocks, write.words("traceability_text")]
 
 
@@ -265,12 +264,11 @@ def _instrument(one: Instrument, write: Writer) -> list[Cell]:
 def _results(write: Writer) -> list[Block]:
     certificate = write.certificate
     found, before = certificate.found, certificate.as_found
-    coverage = f"{100.0 * certificate.coverage:.2f}".rstrip("0").rstrip(".")
     blocks = [
         write.heading("results"),
         write.heading("coefficients", 2),
         _result_table(found, write, "coefficients"),
-        write.words("uncertainty_text", k=f"{certificate.k:.4g}", coverage=coverage),
+        write.words("uncertainty_text", k=f"{certificate.k:.4g}", coverage=certificate.coverage_percent),
         write.heading("correlations", 2),
         {**write.words("correlations_text"), "sticky": True},
         _correlations(found, write),

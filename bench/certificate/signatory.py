@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from hashlib import sha256
@@ -23,6 +23,8 @@ SUFFIX: Final = ".crt"
 """Suffix that turns the name of a key file into the name of its certificate chain file."""
 _DAYS_IN_FORCE: Final = 3652
 _LEAST_RSA_BITS: Final = 2048
+_LEAST_CURVE_BITS: Final = 224
+"""As strong as RSA with `_LEAST_RSA_BITS`: 112 bits (NIST SP 800-57, part 1)."""
 
 
 @dataclass(frozen=True)
@@ -151,28 +153,17 @@ def _in_file(file: Path, chain: Path | None, passphrase: Callable[[], bytes]) ->
 
 def _check(signatory: Signatory, now: datetime) -> None:
     """Raise `Refused` if the certificate does not match the key, is not valid now, or is not meant for signing."""
-    from cryptography import x509
     from cryptography.exceptions import InvalidSignature
-    from cryptography.hazmat.primitives.asymmetric import rsa
 
     mine = signatory.chain[0]
-    wrong = []
-    public = mine.public_key()
-    if isinstance(public, rsa.RSAPublicKey) and public.key_size < _LEAST_RSA_BITS:
-        wrong.append(f"its key has {public.key_size} bits; use a key of {_LEAST_RSA_BITS} bits or more")
+    wrong = ["; ".join(told) for told in _unfit(mine)]
     try:
-        _proves(public, signatory.sign(b"triaxial-bench"), b"triaxial-bench")
+        _proves(mine.public_key(), signatory.sign(b"triaxial-bench"), b"triaxial-bench")
     except (InvalidSignature, ValueError, TypeError):
         wrong.append("it belongs to another key; put the certificate of the key first in its chain")
     if not mine.not_valid_before_utc <= now <= mine.not_valid_after_utc:
         since, until = mine.not_valid_before_utc.date(), mine.not_valid_after_utc.date()
         wrong.append(f"it is valid from {since} to {until}, not now; use one that is valid now")
-    try:
-        usage = mine.extensions.get_extension_for_class(x509.KeyUsage).value
-    except (x509.ExtensionNotFound, ValueError):
-        usage = None
-    if usage is not None and not (usage.digital_signature or usage.content_commitment):
-        wrong.append("its key usage excludes signatures; use a certificate for signing")
     for below, above in zip(signatory.chain, signatory.chain[1:], strict=False):
         try:
             below.verify_directly_issued_by(above)
@@ -182,6 +173,23 @@ def _check(signatory: Signatory, now: datetime) -> None:
             )
     if wrong:
         raise Refused(f"the certificate of '{signatory.name}' cannot be used for signing: {'; '.join(wrong)}")
+
+
+def _unfit(own: Certificate) -> Iterator[tuple[str, str]]:
+    """Yield why a certificate must not sign at any time, each with the remedy: a weak key, or another purpose."""
+    from cryptography import x509
+    from cryptography.hazmat.primitives.asymmetric import rsa
+
+    public = own.public_key()
+    least = _LEAST_RSA_BITS if isinstance(public, rsa.RSAPublicKey) else _LEAST_CURVE_BITS
+    if (bits := getattr(public, "key_size", least)) < least:
+        yield f"its key has {bits} bits", f"use a key of {least} bits or more"
+    try:
+        usage = own.extensions.get_extension_for_class(x509.KeyUsage).value
+    except (x509.ExtensionNotFound, ValueError):
+        return
+    if not (usage.digital_signature or usage.content_commitment):
+        yield "its key usage excludes signatures", "use a certificate for signing"
 
 
 def _proves(public: object, signature: bytes, message: bytes) -> None:
@@ -312,17 +320,24 @@ def _signing(key: Any, told: str) -> Callable[[bytes], bytes]:
     return sign
 
 
-def why_not_trusted(chain: Sequence[Certificate], when: datetime, trusted: Sequence[Certificate]) -> str:
+def why_not_trusted(
+    chain: Sequence[Certificate], when: datetime, trusted: Sequence[Certificate] | None
+) -> str | None:
     """Return why a signer's certificate is not trusted at time `when`; "" if it is.
 
     A certificate is trusted if `trusted` contains it or a certificate under which it was issued. `chain`
-    starts with the signer's certificate; others may link it to `trusted`. Revocation is not checked.
+    starts with the signer's certificate; others may link it to `trusted`. Revocation is not checked. If
+    `trusted` is None, the result is None, unless nobody may trust the certificate.
     """
     own = chain[0]
-    if fingerprint_of(own) in {fingerprint_of(one) for one in trusted}:
-        if own.not_valid_before_utc <= when <= own.not_valid_after_utc:
-            return ""
-        return "its certificate was not valid at the time of the signature"
+    since, until = own.not_valid_before_utc, own.not_valid_after_utc
+    if not since <= when <= until:
+        days = f"{since.date()} to {until.date()}"
+        return f"its certificate (valid from {days}) was not valid at the time of the signature"
+    if unfit := next(_unfit(own), None):
+        return unfit[0]
+    if trusted is None or fingerprint_of(own) in map(fingerprint_of, trusted):
+        return None if trusted is None else ""
     from asn1crypto.x509 import Certificate as Asn1
     from cryptography.hazmat.primitives.serialization import Encoding
     from pyhanko_certvalidator import CertificateValidator, ValidationContext

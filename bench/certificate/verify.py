@@ -85,15 +85,13 @@ class Findings:
     def why_not_trusted(self, trusted: Sequence[Certificate] | None) -> str | None:
         """Return why a signer is not trusted; "" if all signers are trusted.
 
-        `trusted` are certificates of signers or authorities. The result is None without `trusted`, or if a signed
-        certificate's signatures could not be read.
+        `trusted` are certificates of signers or authorities. The result is None without `trusted`, unless nobody
+        may trust a signer, or if a signed certificate's signatures could not be read.
         """
         if trusted is not None and self.unsigned:
             return "nobody signed it"
-        if trusted is None or not self.signatures:
-            return None
-        reasons = (why_not_trusted(one.chain, one.signed_at, trusted) for one in self.signatures)
-        return next(filter(None, reasons), "")
+        reasons = [why_not_trusted(one.chain, one.signed_at, trusted) for one in self.signatures]
+        return next(filter(None, reasons), "" if reasons and trusted is not None else None)
 
     def signer(self) -> SignerPart:
         """Return the signer of the verified file; all members are empty if nobody signed it."""

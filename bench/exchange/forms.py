@@ -16,7 +16,7 @@ from rich.text import Text
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.base.files import to_text
 from bench.base.languages import HEADING, translated
-from bench.base.numbers import fixed, places
+from bench.base.numbers import fixed, places, uncertainty
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
 from bench.calibration.result import INVERSE, NOT_DETERMINED
@@ -92,8 +92,8 @@ def c_header(result: BlockResult) -> str:
             f"a = N (U - U0): a in local g, U in {result.unit}.",
             *picture(result.unit),
             "coefficients_self_test() returns 0 when N, U0 and the check vectors are as they were written.",
-            "U of the coefficients: "
-            + ", ".join(f"{row.name} {row.U:.2g}" for row in numbers.rows if row.determined),
+            "U of N and U0: "
+            + ", ".join(f"{row.name} {uncertainty(row.U)}" for row in numbers.rows if row.determined),
         ]
     )
     tested = c_self_test("coefficients", np.hstack(result.check), "coefficients_specific_force(row, a);")

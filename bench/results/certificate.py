@@ -187,7 +187,7 @@ class VerifyResult(ResultModel):
     """
     intact: bool
     trusted: bool | None
-    """whether the trust file contains the signer; null without a trust file"""
+    """whether the trust file confirms the signer; null without a trust file, unless nobody may trust the signer"""
     why_not_trusted: str | None = Field(description="why the signer is not trusted; empty if trusted")
     wrong: list[str] = Field(description="why the certificate is not intact; empty if it is")
     agreed: list[str] = Field(description="values that were compared and agree")

@@ -4,7 +4,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
-from datetime import date
+from datetime import date, datetime
 from importlib.metadata import version
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,8 +14,9 @@ import pytest
 
 from bench.calibration.conformity import DecisionRule
 from bench.certificate.content import Issue, rule_said
+from bench.certificate.dcc.document import document_of
 from bench.certificate.gather import certificate_of, missing
-from bench.certificate.laboratory import Adjusted, Person, load_laboratory, load_order
+from bench.certificate.laboratory import Accreditation, Adjusted, Person, load_laboratory, load_order
 from bench.certificate.verify import Findings, against_record
 from bench.config.devices.device import Certificate as Held
 from bench.model.geometry import COEFFICIENTS
@@ -198,6 +199,10 @@ def test_the_results_as_found_are_of_another_run_of_that_kind_before_this_one(fo
         ({"record": both.found.record}, "'as_found', finished, is the calibrated run itself"),
         ({"simulated": False}, "'as_found', before, is real, the calibrated one is not"),
         ({"ended": "2026-11-30T12:00:00+00:00"}, "ended on 2026-11-30, after the calibration began on 2026-11-22"),
+        (
+            {"ended": datetime.fromisoformat(both.found.begun).replace(hour=23, minute=59).isoformat()},
+            "ended at 23:59:59 on 2026-11-22, after the calibration began at 02:10:59 (UTC)",
+        ),
         ({"begun": "2026-11-01T08:00:00+00:00"}, "2026-11-16 is after 2026-11-01"),
         ({}, ""),
     ):  # fmt: skip
@@ -212,6 +217,41 @@ def test_instruments_of_the_run_as_found_need_certificates_too(certificate):
     held = replace(certificate, found=replace(certificate.found, instruments=of_valid))
     assert held.uncertified == ()
     assert replace(held, as_found=certificate.found).uncertified == certificate.uncertified
+
+
+def test_no_certificate_is_declared_invalid_because_the_order_would_have_accepted_it(certificate):
+    """The XML said so of instruments that all had valid certificates, whenever the order named a reason."""
+    order = certificate.order.model_copy(update={"without_certificates": "a comparison in the house"})
+    issue = Issue("SIM-2026-0001", "2026-11-22T12:00:00+00:00", Person(name="A"))
+    lacking = replace(certificate, order=order, issue=issue)
+    valid = Held(number="C-1", laboratory="L", date=date(2026, 1, 1))
+    of_valid = tuple(replace(one, certificate=valid) for one in certificate.found.instruments)
+    held = replace(lacking, found=replace(certificate.found, instruments=of_valid))
+    for one, said in ((lacking, True), (replace(lacking, order=certificate.order), True), (held, False)):
+        xml = document_of(one)
+        assert (b"Not all instruments have valid certificates" in xml) is said
+        assert (b"a comparison in the house" in xml) is (said and one is lacking)
+
+
+def test_an_accreditation_that_ended_is_not_on_the_certificate(certificate):
+    """It may have been valid on the day of the run, and no longer on that of the issue."""
+    held = Accreditation(body="B", number="A-1", valid_until=date(2026, 11, 30))
+    house = certificate.laboratory.model_copy(update={"accreditation": held})
+    real = replace(certificate, laboratory=house, found=replace(certificate.found, simulated=False))
+    for day, ended in (("2026-11-30", False), ("2026-12-01", True)):
+        lacking = missing(replace(real, issue=Issue("2026-0001", f"{day}T12:00:00+00:00", Person(name="A"))))
+        assert any("A-1 ended on 2026-11-30" in text for text in lacking) is ended
+    assert missing(replace(real, found=certificate.found)) == missing(certificate) == ()
+
+
+def test_no_coverage_probability_is_100_percent(certificate):
+    for k, percent in ((1.0, "68.27"), (2.0, "95.45"), (3.0, "99.73"), (4.5, "99.9993"), (5.0, "99.9999")):
+        values = tuple(replace(one, k=k) for one in certificate.found.coefficients.values)
+        widened = replace(certificate.found.coefficients, values=values)
+        assert (
+            replace(certificate, found=replace(certificate.found, coefficients=widened)).coverage_percent
+            == percent
+        )
 
 
 def test_the_parts_of_u_are_all_there_is_of_it(certificate):

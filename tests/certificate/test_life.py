@@ -78,6 +78,21 @@ def test_the_unsigned_certificate_is_made_again_byte_for_byte(bench, desk, tmp_p
 
 
 @pytest.mark.slow
+def test_a_certificate_is_made_again_by_the_rules_of_its_day(bench, desk, monkeypatch):
+    """A text that is refused now was printed then; the laboratory file of today is without it."""
+    own = {"en": {"expired": "out of date"}}
+    unit = {**ORDER["units"][0], "condition": " "}
+    with monkeypatch.context() as then:
+        then.setattr("bench.certificate.laboratory._FIXED", frozenset())
+        then.setattr("bench.certificate.laboratory._stripped", lambda data: data)
+        write_files(Path(), {"texts": own}, {**ORDER, "units": [unit]})
+        assert bench("certificate", "finished", *desk)[0] == 0
+    refused(bench("certificate", "register", *desk[:2], "--again"), "no laboratory may replace this text")
+    write_files(Path(), order=ORDER)
+    assert bench("certificate", "register", *desk[:2], "--again")[0] == 0
+
+
+@pytest.mark.slow
 def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, desk):
     assert bench("certificate", "finished", *desk)[0] == 0
     first = Path("register/SIM-2026-0001.xml").read_bytes()
@@ -115,6 +130,9 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert again.findtext("dcc:previousReport/dcc:referralID", namespaces=NAMESPACES) == "SIM-2026-0002"
     assert "revoked (wrong unit)" in bench("certificate", "register", *desk[:2])[1]
     third = ("certificate", "amend", "SIM-2026-0003", *other[3:], "--replace")
+    write_files(Path(), {"name": "Another Laboratory"}, ORDER)
+    refused(bench(*third, *desk), "Inertial Calibration Laboratory issued it, not Another Laboratory")
+    write_files(Path(), order=ORDER)
     printed(bench(*third, *desk), "SIM-2026-0004")
     assert "replaced (SIM-2026-0004)" in bench("certificate", "register", *desk[:2])[1]
     refused(bench("certificate", "finished", *desk), "SIM-2026-0003 was replaced by SIM-2026-0004; 'bench")

@@ -7,6 +7,7 @@ import re
 import signal
 import time
 from dataclasses import replace
+from datetime import date
 from pathlib import Path
 from typing import Annotated
 
@@ -373,6 +374,22 @@ def test_a_new_field_is_a_line_of_its_file_and_its_words(issued_certificate, sta
         assert (f">{text}</dcc:content>".encode() in document) is bool(stated)
 
 
+def test_the_day_of_the_order_is_on_the_certificate(issued_certificate):
+    """It was read from the order file, and shown nowhere."""
+    dated = replace(
+        issued_certificate, order=issued_certificate.order.model_copy(update={"date": date(2026, 11, 9)})
+    )
+    document = document_of(dated)
+    rows = [
+        row
+        for block in data_of(dated, document)["front"]
+        if block["kind"] == "pairs"
+        for row in block["rows"]
+    ]
+    assert [["Date of the order", "Datum des Auftrags"], ["2026-11-09"]] in rows
+    assert b">2026-11-09</dcc:content>" in document
+
+
 def test_a_laboratory_may_have_words_of_its_own(tmp_path):
     own = {"language": ["en", "de"], "texts": {"de": {"title": "Prüfschein"}}}
     laboratory = load_laboratory(write_files(tmp_path, own)[0])
@@ -386,14 +403,14 @@ def test_a_laboratory_may_have_words_of_its_own(tmp_path):
 def test_a_laboratory_replaces_no_text_that_limits_a_certificate_and_keeps_the_blanks(tmp_path):
     own = {
         "fail": "pass", "simulated": "real", "unsigned": "signed", "conformity_text": "pass", "title": "{nme}",
-        "page": "{page}/{pages}",
+        "not_accepted": "accepted", "statement_affected": "-", "page": "{page}/{pages}",
     }  # fmt: skip
     laboratory, _ = write_files(tmp_path, {"texts": {"en": own}})
     with pytest.raises(FileMistakes) as error:
         load_laboratory(laboratory)
     told = str(error.value)
-    assert [told.count(f"texts.en.{key}: ") for key in own] == [1, 1, 1, 1, 1, 0]
-    assert told.count("no laboratory may replace this text; remove it") == 3
+    assert [told.count(f"texts.en.{key}: ") for key in own] == [1, 1, 1, 1, 1, 1, 1, 0]
+    assert told.count("no laboratory may replace this text; remove it") == 5
     assert "expected the blanks {limit}, {points}, {statement}; keep the names in braces" in told
 
 

@@ -5,9 +5,11 @@ import json
 import re
 import shutil
 from dataclasses import dataclass, replace
+from datetime import timedelta
 from pathlib import Path
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.serialization import Encoding
 from rich.console import Console
 
@@ -20,7 +22,7 @@ from bench.certificate.verify import verify_certificate
 from bench.services.chain import Entry, opened
 from bench.services.errors import Refused
 from tests.support.certificates import RECORDED
-from tests.support.signed import NOW, a_signatory, authority
+from tests.support.signed import NOW, a_signatory, authority, certified, signatory
 
 OTHER = "Somebody else"
 
@@ -84,6 +86,39 @@ def test_with_one_it_is_of_the_signer_or_of_another(written):
     other = trust_in(written, authority("Another").certificate)
     verdict = looked_at(written / "c.xml", other)
     assert (verdict.verdict, verdict.accepted) == ("intact, signer not trusted", False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trusted", [True, False])
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (
+            {"until": NOW - timedelta(days=1)},
+            "(valid from 2026-10-23 to 2026-11-21) was not valid at the time",
+        ),
+        ({"sign": False}, "its key usage excludes signatures"),
+        ({"key": rsa.generate_private_key(65537, 1024)}, "its key has 1024 bits"),  # noqa: S505
+    ],
+)
+def test_a_key_that_may_not_sign_is_not_trusted_and_changes_nothing(
+    made, tmp_path, caplog, change, why, trusted
+):
+    """Of a certificate that an expired key signed, the program said that it was changed."""
+    change = dict(change)
+    key = change.pop("key", None) or ec.generate_private_key(ec.SECP256R1())
+    root = authority("Root")
+    signer = signatory(key, certified(key.public_key(), "Laboratory of Tests", root, **change))
+    xml = sign_xml(document_of(made.certificate), signer, NOW)
+    for form, content in (("pdf", made.paper(xml, signer)), ("xml", xml)):
+        file = tmp_path / f"c.{form}"
+        file.write_bytes(content)
+        verdict = looked_at(file, trust_in(tmp_path, root.certificate) if trusted else None)
+        assert (verdict.verdict, verdict.accepted) == ("intact, signer not trusted", False)
+        assert why in verdict.why_not_trusted
+    assert not caplog.records, "a package told of it with a traceback"
+    with pytest.raises(Refused, match="not read, as its "):
+        coefficients_in(tmp_path / "c.xml")
 
 
 @pytest.mark.slow

@@ -363,3 +363,10 @@ def test_a_name_from_outside_is_text_in_every_form(form):
         return
     assert not [line for line in made.splitlines() if line.startswith("#error")]
     assert made.count("*/") == (0 if form != "c" else 8)
+
+
+def test_the_header_in_c_rounds_no_uncertainty_down():
+    """It wrote 0.0001 for a U of 0.0001045, and called U of N that of the coefficients."""
+    result = replace(RESULT, covariance=COVARIANCE / COVARIANCE[9, 9] * (0.0001045 / 2) ** 2)
+    line = next(one for one in text_of("c", result).splitlines() if "U of N and U0: " in one)
+    assert "U0x 0.00011, " in line

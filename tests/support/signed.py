@@ -8,7 +8,7 @@ from typing import Any
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric import ec, padding
 from cryptography.x509.oid import NameOID
 
 from bench.certificate.signatory import Signatory, signatory_of
@@ -90,5 +90,11 @@ def blank_pdf() -> bytes:
 def a_signatory(name: str = "Laboratory of Tests") -> Signatory:
     """Return a signatory with a P-256 key and a self-signed certificate, made once for each name."""
     key = ec.generate_private_key(ec.SECP256R1())
-    own = certified(key.public_key(), name, None, own=key)
-    return Signatory((own,), lambda message: key.sign(message, ec.ECDSA(hashes.SHA256())))
+    return signatory(key, certified(key.public_key(), name, None, own=key))
+
+
+def signatory(key: Any, certificate: x509.Certificate) -> Signatory:
+    """Return who signs with an elliptic-curve or RSA key, whether or not its certificate permits that."""
+    how: list[Any] = [] if isinstance(key, ec.EllipticCurvePrivateKey) else [padding.PKCS1v15()]
+    how += [hashes.SHA256() if how else ec.ECDSA(hashes.SHA256())]
+    return Signatory((certificate,), lambda message: key.sign(message, *how))

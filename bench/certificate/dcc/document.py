@@ -220,16 +220,15 @@ def _statements(certificate: Certificate, order: Order, unit: UnitOrder, issue: 
     for head, told in certificate.origins.items():
         for key, blanks in told:
             yield _statement(head, *said(texts, key, **blanks), name=said(texts, head))
-    traceable = not certificate.uncertified and not certificate.simulated
-    reason = order.without_certificates
+    reason = certificate.why_untraced
     yield node(
         "dcc:statement",
         node("dcc:name", *said(texts, "traceability")),
-        node("dcc:traceable", "true" if traceable else "false"),
+        node("dcc:traceable", "false" if reason or certificate.simulated else "true"),
         node(
             "dcc:declaration",
             *said(texts, "traceability_text"),
-            *(() if reason is None else said(texts, "untraced_text", reason=reason)),
+            *(said(texts, "untraced_text", reason=reason) if reason else ()),
         ),
         refType="bench_traceability",
     )
@@ -502,7 +501,7 @@ def _conformity(texts: Sequence[Texts], verification: Verification) -> Node:
 
 
 def _uncertainty(certificate: Certificate) -> Node:
-    k, coverage = f"{certificate.k:g}", f"{100 * certificate.coverage:.4g}"
+    k, coverage = f"{certificate.k:.4g}", certificate.coverage_percent
     told = said(certificate.texts, "uncertainty_text", k=k, coverage=coverage)
     return node("dcc:metaData", node("dcc:declaration", *told), refType="bench_uncertainty")
 

@@ -141,10 +141,12 @@ def document_in(path: Path) -> tuple[Node, tuple[str, ...]]:
         raise Refused(f"{path}: not a digital calibration certificate (DCC); give another file")
     if root.find(f".//{{{SIGNATURE}}}Signature") is None:
         return root, (message("this document has no signature"), *_why_not_valid(path, root))
-    from bench.certificate.signatory import name_of
+    from bench.certificate.signatory import name_of, why_not_trusted
 
     try:
         signed = check_xml(content)
+        if unfit := why_not_trusted(signed.chain, signed.signed_at, None):
+            raise NotIntact(unfit)
     except NotIntact as error:
         raise Refused(f"{path}: not read, as {error}; {ORIGINAL}") from error
     who = name_of(signed.chain[0])
