@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -140,7 +140,7 @@ def _missing(certificate: Certificate) -> Iterator[str]:
     begun, ended = calibrated
     if certificate.as_found is not None and certificate.as_found.days is not None:
         begun = min(begun, certificate.as_found.days[0])
-    if unit is not None and unit.received > begun:
+    if unit is not None and unit.received > begun + timedelta(days=1):  # a local day can be one ahead of UTC
         yield message(
             f"a day of receipt (7.8.2.1 h) before the calibration: {unit.received} is after {begun}"
         )
