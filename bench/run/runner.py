@@ -377,9 +377,10 @@ class Runner:
             self.people.asker.drain()
         if (control := self.people.controls.poll()) is None:
             return
-        # a pause in a soak before the steps would begin the soak again
-        repeated = self._index is None and control.wish is Wish.PAUSE
-        why = message("no step is running yet") if repeated else self._why_not(control, self._index)
+        if self._index is None and control.wish is Wish.PAUSE:  # afterwards the wait would begin again
+            why = message("a wait before the next step is repeated; pause after it, or stop the run")
+        else:
+            why = self._why_not(control, self._index)
         if not why:
             raise raised(control)
         self._refuse(control, why)
