@@ -189,7 +189,7 @@ class Runner:
             finally:
                 self.people.hold_signals()
         except Exception as error:
-            cause = named_fault(error, self.bench.instruments.all()) or error
+            cause = self.bench.mistake() or named_fault(error, self.bench.instruments.all()) or error
         except BaseException as error:
             cause = error
         self._way_out(cause)
@@ -491,7 +491,7 @@ class Runner:
             try:
                 result = self._workbench.execute(step)
             except WORTH_REPEATING as error:
-                if not tries_left and policy.then == "stop":
+                if self.bench.mistake() or (not tries_left and policy.then == "stop"):
                     raise
                 self._emit(EventType.STEP_FAILED, step=index, key=step.key, error=str(error))
                 continue
