@@ -67,7 +67,8 @@ class NotConnected(BenchError):
         for one in failures:
             causes.setdefault(one.remedy, []).append(f"{one.instrument}: {one.cause}")
         each = " | ".join(f"{', '.join(whose)}; {remedy}" for remedy, whose in causes.items())
-        super().__init__(f"{len(failures)} instruments", f"not connected: {each}", "then start again")
+        cause, _, remedy = each.rpartition("; ")
+        super().__init__(f"{len(failures)} instruments", f"not connected: {cause}", remedy)
         self.instrument = ", ".join(one.instrument for one in failures)
 
 

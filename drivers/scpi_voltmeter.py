@@ -239,12 +239,14 @@ class ScpiVoltmeter(ABC):
         reply = self._fetch(settings)
         self._refuse_interruption()
         self._refuse_other_settings(settings)
-        values = tuple(float(text) for text in reply.rstrip(",").split(","))
+        texts = reply.rstrip(",").split(",")
+        values = tuple(map(float, texts))
         # A scan reads every channel once, so the samples of the channels are interleaved.
         signals = {
             channel: values[index :: len(self.channels)] for index, channel in enumerate(self.channels)
         }
         self._refuse_overload(signals, settings)
+        self._refuse_lost_digits(texts)
         self._spoke_s = self._clock.now_s()
         return signals
 
@@ -359,6 +361,16 @@ class ScpiVoltmeter(ABC):
                 self.name,
                 f"the signal of channel {' and '.join(over)} overloads the {settings.range_v:g} V range",
                 "choose a higher range in the procedure, or check the wiring and power of the block",
+            )
+
+    def _refuse_lost_digits(self, texts: list[str]) -> None:
+        """Raise `BadReading` if readings differ in length: then a serial port has lost a digit of one of them."""
+        shortest, longest = min(texts, key=len), max(texts, key=len)
+        if len(shortest) < len(longest):
+            raise BadReading(
+                self.name,
+                f"the reading {shortest} is shorter than {longest}: a digit was lost on the wire",
+                "try again, and if the fault returns, check the cable or lower the baud rate",
             )
 
     def _refuse_interruption(self) -> None:

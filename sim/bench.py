@@ -234,6 +234,10 @@ class SimulatedBench:
             for name, dialect in self.dialects.items()
         ]
 
+    def failure(self) -> BenchError | None:
+        """Return the mistake of a simulation that ended a connection, if there was one."""
+        return next((faulty.failure for faulty in self.faulty.values() if faulty.failure is not None), None)
+
     def arm(self, fault: Fault) -> None:
         """Arm a fault for the instrument that it names, or for every instrument that can have it.
 

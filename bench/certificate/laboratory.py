@@ -40,7 +40,8 @@ _FIELD: Final = re.compile(r"\{(year|count)(?::0?([1-9]))?\}")
 _PLAIN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,60}")
 
 
-_WORDS: Final = yaml.safe_load(Path(__file__).with_name("words.yaml").read_text(encoding="utf-8"))
+_WORDS_FILE: Final = Path(__file__).with_name("words.yaml")
+_WORDS: Final = yaml.safe_load(_WORDS_FILE.read_text(encoding="utf-8"))
 LANGUAGES: Final = tuple(sorted({language for words in _WORDS.values() for language in words}))
 """The supported languages, by their ISO 639-1 codes."""
 
@@ -63,7 +64,9 @@ class Texts:
     entries: Mapping[str, str]
 
     def say(self, key: str, **values: object) -> str:
-        """Return a text with its blanks filled. Raises `KeyError` for an unknown key or a blank with no value."""
+        """Return a text with its blanks filled. Raises `Refused` for an unknown key, `KeyError` without a value."""
+        if key not in self.entries:
+            raise Refused(f"{_WORDS_FILE}: there is no text '{key}'; add it, at least in English")
         with speaking(known_language(self.language) or ENGLISH):
             return _BLANK.sub(lambda blank: local_number(str(values[blank[1]])), self.entries[key])
 
@@ -79,9 +82,8 @@ def in_each(texts: Sequence[Texts], key: str, **values: object) -> list[str]:
 @cache
 def texts_of(language: str) -> Texts:
     """Return the texts of a language of `LANGUAGES`; a text that is missing in this language is in English."""
-    return Texts(
-        language, {key: str(words.get(language, words["en"])).strip() for key, words in _WORDS.items()}
-    )
+    found = {key: words.get(language, words.get(ENGLISH)) for key, words in _WORDS.items()}
+    return Texts(language, {key: str(text).strip() for key, text in found.items() if text is not None})
 
 
 @dataclass(frozen=True)

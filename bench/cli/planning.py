@@ -46,13 +46,14 @@ def check(
     printing.write_json([found.result.to_dict()], json)
     if json != "-":
         print_findings(found, printing.console(), every_step=every_step)
-        _offer_dry_run(found, request)
     status = 1 if found.result.problems else 0
-    if not instruments:
-        return status
-    from bench.cli.instruments import look
+    if instruments:
+        from bench.cli.instruments import look
 
-    return max(status, look(None if request.bench is None else str(request.bench)))
+        status = max(status, look(None if request.bench is None else str(request.bench)))
+    if json != "-" and not status:
+        _offer_dry_run(found, request)
+    return status
 
 
 def _morning(request: Check, json: str | None) -> int:

@@ -85,13 +85,18 @@ _WORDS = {
 
 
 class _Outlet(io.FileIO):
-    """A descriptor whose output is dropped when the reader of its pipe has ended, such as `head` or `tee`."""
+    """A descriptor whose output is dropped when the reader of its pipe has ended, such as `head` or `tee`.
+
+    On standard error it is dropped on a full disk, too: the exit status still says how the command ended.
+    """
+
+    forgiven: type[OSError] = BrokenPipeError
 
     def write(self, data: Any, /) -> int:
         """Write bytes; return how many were written."""
         try:
             return super().write(data)
-        except BrokenPipeError:
+        except self.forgiven:
             os.dup2(os.open(os.devnull, os.O_WRONLY), self.fileno())
             return super().write(data)
 
@@ -109,11 +114,12 @@ def keep_writable() -> None:
         elif mode == "w" and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=_IN_ASCII)
             if isinstance(getattr(stream.buffer, "raw", stream.buffer), io.FileIO):
-                setattr(sys, name, _on_outlet(stream))
+                setattr(sys, name, _on_outlet(stream, OSError if name == "stderr" else BrokenPipeError))
 
 
-def _on_outlet(stream: io.TextIOWrapper) -> io.TextIOWrapper:
+def _on_outlet(stream: io.TextIOWrapper, forgiven: type[OSError]) -> io.TextIOWrapper:
     outlet = _Outlet(stream.fileno(), "w", closefd=False)
+    outlet.forgiven = forgiven
     return io.TextIOWrapper(
         outlet if stream.write_through else io.BufferedWriter(outlet),  # as Python is asked not to buffer
         stream.encoding,

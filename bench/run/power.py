@@ -135,7 +135,7 @@ class UnitPower:
             raise BenchError(
                 self.supply.name,
                 f"it is on with other settings than the bench file states: {otherwise}",
-                "correct its settings or the bench file, then start again",
+                "correct its settings or the bench file",
             )
 
     def _switch_on(self, key: str, *, set_up: bool = False) -> None:

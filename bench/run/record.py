@@ -6,6 +6,7 @@ each line that resuming and evaluation need are kept in memory.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
@@ -538,6 +539,8 @@ def _refuse_taken(folder: Path) -> None:
 def cannot_write(folder: Path, error: OSError) -> RecordError:
     """Return the error of a run's folder that cannot be written, with its remedy."""
     remedy = message("free disk space") if error.errno in DISK_FULL else message("make the folder writable")
+    if error.errno == errno.EFBIG:
+        remedy = message("raise the limit of a file's size")
     return RecordError(
         f"{folder}: cannot be written ({error.strerror or error}); what was recorded is kept; {remedy}, then "
         "continue"

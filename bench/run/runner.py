@@ -189,7 +189,7 @@ class Runner:
             finally:
                 self.people.hold_signals()
         except Exception as error:
-            cause = named_fault(error, self.bench.instruments.all()) or error
+            cause = self.bench.mistake() or named_fault(error, self.bench.instruments.all()) or error
         except BaseException as error:
             cause = error
         self._way_out(cause)
@@ -377,9 +377,10 @@ class Runner:
             self.people.asker.drain()
         if (control := self.people.controls.poll()) is None:
             return
-        # a pause in a soak before the steps would begin the soak again
-        repeated = self._index is None and control.wish is Wish.PAUSE
-        why = message("no step is running yet") if repeated else self._why_not(control, self._index)
+        if self._index is None and control.wish is Wish.PAUSE:  # afterwards the wait would begin again
+            why = message("a wait before the next step is repeated; pause after it, or stop the run")
+        else:
+            why = self._why_not(control, self._index)
         if not why:
             raise raised(control)
         self._refuse(control, why)
@@ -490,7 +491,7 @@ class Runner:
             try:
                 result = self._workbench.execute(step)
             except WORTH_REPEATING as error:
-                if not tries_left and policy.then == "stop":
+                if self.bench.mistake() or (not tries_left and policy.then == "stop"):
                     raise
                 self._emit(EventType.STEP_FAILED, step=index, key=step.key, error=str(error))
                 continue

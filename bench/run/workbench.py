@@ -253,6 +253,7 @@ class BenchSetup:
     voltmeters accept. `setting_u_rad` is the standard uncertainty of a head setting. `block_limits_c` are the
     permitted temperatures of the block, °C; `feeding` describes its power supply. A chamber whose temperature
     hardly changes for `slow_chamber_s` is reported. `aside` returns a context for samples outside readings.
+    `mistake` returns the mistake of a simulation, which ends the connection to the simulated instrument.
     """
 
     instruments: Instruments
@@ -264,6 +265,7 @@ class BenchSetup:
     slow_chamber_s: float = SLOW_AFTER_S
     feeding: Feeding | None = None
     aside: Callable[[], AbstractContextManager[None]] = nullcontext
+    mistake: Callable[[], BenchError | None] = lambda: None
 
 
 @dataclass

@@ -421,6 +421,7 @@ def _setup(bench: BenchFile, assembly: Assembly) -> BenchSetup:
         setting_u_rad=bench.stand_distributions()["setting_error"].u,
         slow_chamber_s=chamber.slow_after if isinstance(chamber, ControlledChamberForm) else SLOW_AFTER_S,
         aside=assembly.aside,
+        mistake=(lambda: None) if assembly.simulated is None else assembly.simulated.failure,
         feeding=None if feed is None or supply is None else Feeding(feed, supply.limits),
     )
 

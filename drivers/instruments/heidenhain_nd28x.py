@@ -85,7 +85,7 @@ class HeidenhainNd28x(ReadOutHead):
             (message("it does not show decimal degrees"), facts.UNIT, facts.DEGREES),
         ):
             if bar[place] != wanted:
-                raise InstrumentRefused(self.name, what, "set it by its keys, then start again")
+                raise InstrumentRefused(self.name, what, "set it by its keys")
 
     def _shown_rad(self) -> float:
         """Return the displayed angle, rad. Raises `InstrumentRefused` for a relative value or other text."""

@@ -41,13 +41,13 @@ Cause = tuple[str, str]
 
 _PORT_GONE: Final = (
     message("{0} was lost: the port failed"),
-    message("check that the serial adapter is plugged in and start again"),
+    message("check that the serial adapter is plugged in"),
 )
 _CLOSED_IN_USE: Final = (
     message("{0} was closed while it was in use"),
     message("open the instrument and take this step again"),
 )
-_CHECK_POWER: Final = message("check its power and its cable, then start again")
+_CHECK_POWER: Final = message("check its power and its cable")
 _BROKEN: Final = (message("{0} broke the connection"), _CHECK_POWER)
 
 _BY_ERRNO: Final[dict[int, Cause]] = {
@@ -76,7 +76,7 @@ _BY_ERRNO: Final[dict[int, Cause]] = {
     ),
     errno.EBUSY: (
         message("{0} is in use by another program"),
-        message("close the other program and start again"),
+        message("close the other program"),
     ),
     errno.EBADF: _CLOSED_IN_USE,
     errno.EIO: _PORT_GONE,

@@ -43,8 +43,8 @@ AFTER_SENDING: Final = "after sending"
 
 _MAX_REPLY_BYTES: Final = 1 << 20
 _SLICE_S: Final = 0.5
-_RESTART: Final = message("switch the instrument off and on and start again")
-_RESTART_ADAPTER: Final = message("switch the GPIB adapter off and on and start again")
+_RESTART: Final = message("switch the instrument off and on")
+_RESTART_ADAPTER: Final = message("switch the GPIB adapter off and on")
 
 
 class MessageSession:

@@ -13,6 +13,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Any, Final
 
 from drivers.clock import Clock, SystemClock
+from drivers.interfaces import BenchError
 from sim.wires.session import DROP, SILENCE, LineEnds, WireFault, line_ends_of
 from sim.world.chance import keyed_generator
 
@@ -197,8 +198,9 @@ class _Armed:
 class FaultyInstrument:
     """A `Dialect` with injected faults; its method `wire_fault` is the `FaultHook` of its wires.
 
-    The random numbers depend on `seed` and `name`. Only one thread at a time may call it, as
-    `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault that the instrument cannot have.
+    The random numbers depend on `seed` and `name`. `failure` is the last mistake of the simulation itself. Only one
+    thread at a time may call it, as `sim.wires.session.ServedInstrument` ensures. Raises `ValueError` for a fault
+    that the instrument cannot have.
     """
 
     def __init__(
@@ -212,6 +214,7 @@ class FaultyInstrument:
         self._added = 0
         self._hung_until_s: float | None = None
         self._hangs_now = False
+        self.failure: BenchError | None = None
         for fault in faults:
             self.add(fault)
 
@@ -274,6 +277,9 @@ class FaultyInstrument:
             return reply
         except Exception as error:  # it ends the connection, which the driver reports as a lost instrument
             error.add_note(f"the simulation of {self.name} failed at {message!r}: correct it")
+            what = f"{type(error).__name__}: {error}".removesuffix(": ")
+            cause = f"its simulation failed at {message.decode('ascii', 'replace')} with {what}"
+            self.failure = BenchError(self.name, cause, "correct the simulation")
             raise
         finally:
             if overloaded:

@@ -122,7 +122,7 @@ class TcpServer(InstrumentServer):
         self.port = port
         self._listener: socket.socket | None = None
         self._accepting: threading.Thread | None = None
-        self._clients: dict[threading.Thread, TcpTransport] = {}
+        self._clients: dict[threading.Thread, tuple[Session, TcpTransport]] = {}
 
     @property
     def fault(self) -> FaultHook | None:
@@ -160,7 +160,7 @@ class TcpServer(InstrumentServer):
         self._forget_later()
         with self._state_lock:
             clients = dict(self._clients)
-        for transport in clients.values():
+        for _, transport in clients.values():
             transport.close()
         for thread in clients:
             if thread is not threading.current_thread():
@@ -169,8 +169,8 @@ class TcpServer(InstrumentServer):
     def drop_connections(self) -> None:
         """Close all open connections and continue to listen."""
         with self._state_lock:
-            transports = list(self._clients.values())
-        for transport in transports:
+            clients = list(self._clients.values())
+        for _, transport in clients:
             transport.close()
 
     def refuse(self, duration_s: float = 0.0) -> None:
@@ -223,7 +223,9 @@ class TcpServer(InstrumentServer):
 
         thread = threading.Thread(target=run, name=f"client of {self.port}", daemon=True)
         with self._state_lock:
-            self._clients[thread] = transport
+            earlier = [one for one, _ in self._clients.values()]
+            self._clients[thread] = session, transport
+        self.instrument.traffic.wait_for(earlier)  # their threads may be slow to begin with what has arrived
         thread.start()
 
 

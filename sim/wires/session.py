@@ -15,11 +15,12 @@ from drivers.clock import SystemClock
 
 if TYPE_CHECKING:
     import socket
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterator
 
 
 _SETTLE_LOOKS: Final = 2000
 _SETTLE_LOOK_S: Final = 0.001
+_EARLIER_LOOKS: Final = 200
 
 
 class Doing(Enum):
@@ -71,6 +72,14 @@ class Traffic:
             if not select.select([session.source for session in others], [], [], 0.0)[0]:
                 return any(session.doing is Doing.WORKING for session in others)
         return any(session.has_work() for session in others)
+
+    def wait_for(self, earlier: Collection[Session]) -> None:
+        """Wait until none of these sessions has work, or one is busy with a long command."""
+        for _ in range(_EARLIER_LOOKS):
+            with self._changed:
+                if not any(session.has_work() for session in earlier):
+                    return
+                self._changed.wait(_SETTLE_LOOK_S)
 
     def enter(self, session: Session) -> None:
         """Register a session, which runs in the calling thread."""

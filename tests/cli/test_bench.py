@@ -63,6 +63,12 @@ def start(bench, answers=ANSWERS, name="run"):
     return bench("run", "short.yaml", "--bench", "bench.yaml", "--name", name, stdin=answers)
 
 
+def test_no_mistakes_are_found_once_the_instruments_are_checked_too(served, bench):
+    status, out, _ = bench("check", "short.yaml", "--bench", "bench.yaml", "--instruments")
+    assert status == 0
+    assert out.index("voltmeter.x") < out.index("no mistakes found")
+
+
 def test_typed_answers_make_readings(served, bench):
     status, out, err = start(bench)
     # two points of one installation do not make a calibration: the run is done all the same
@@ -93,6 +99,17 @@ def test_when_the_answers_end_the_run_stops_and_goes_on_later(served, bench):
     run = Run(Path("runs/run"))
     assert run.history.state == "finished"
     assert run.readings().point.tolist() == [1, 2]
+
+
+def test_a_run_whose_instruments_are_missing_gives_one_advice_how_to_continue(served, bench):
+    start(bench, answers="yes\n23\n0 0 2\n")
+    for server in served.servers.values():
+        server.refuse()
+    status, _, err = bench("resume", "run")
+    assert status == 2
+    assert "refused the connection" in err
+    assert "resume with 'bench resume run'" in err
+    assert "start again" not in err
 
 
 @pytest.mark.parametrize(("set_s", "jumps_s"), [(-3600.0, [-3600.0]), (0.0, [])])

@@ -151,6 +151,15 @@ def test_without_a_standard_output_a_command_ends_with_its_status(handler, monke
     assert "error of the program" not in capsys.readouterr().err
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+@pytest.mark.parametrize("streams", [["stderr"], ["stdout", "stderr"]])
+def test_on_a_full_disk_a_command_ends_with_its_status(handler, monkeypatch, empty_folder, streams):
+    with Path("/dev/full").open("w", 1, "utf-8") as full:
+        for name in streams:
+            monkeypatch.setattr(sys, name, full)
+        assert status_of(monkeypatch, "show", "no-such-run") == 2
+
+
 RECORDS = ROOT / "tests" / "data" / "records"
 
 

@@ -111,3 +111,25 @@ def test_a_broken_sensor_and_a_power_cycle_are_noticed() -> None:
         simulated.power_cycle()
         with pytest.raises(InstrumentRefused, match="its output 1 is OFF, not ON"):
             c.temperature("2/read")
+
+
+def test_a_simulated_controller_in_fahrenheit_is_set_and_read_in_celsius_also_once_its_unit_changes() -> None:
+    world = a_world()
+    simulated = WatlowF4T(world, unit="F")
+    with stand(world, simulated, output=1) as c:
+        c.open()
+        c.set_temperature(25.0, "1/temperature")
+        world.clock.sleep(3 * 3600.0)
+        for unit in "FC":
+            simulated.handle(f"UNIT:TEMP {unit}".encode())
+            assert c.temperature("2/read") == pytest.approx(25.0, abs=0.02)
+    assert world.chamber_c == pytest.approx(25.0, abs=0.02)
+
+
+def test_old_firmware_which_speaks_fahrenheit_only_is_refused_on_its_wire() -> None:
+    world = a_world()
+    with (
+        stand(world, WatlowF4T(world, old_firmware=True)) as c,
+        pytest.raises(InstrumentRefused, match="°C or °F"),
+    ):
+        c.open()

@@ -1,6 +1,7 @@
 """A driver's defect is named with its place, and no wrong value of a driver becomes a reading."""
 
 from decimal import Decimal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from bench.run.driver_checks import (
     checked_temperature,
     named_fault,
 )
+from bench.run.folder import Run
 from drivers.instruments.agilent_34401a import Agilent34401A
 from drivers.instruments.manual import ManualHead
 from drivers.interfaces import (
@@ -29,6 +31,7 @@ from drivers.interfaces import (
     OutputState,
 )
 from drivers.wire.visa import MessageSession
+from sim.scpi import ScpiInstrument
 from sim.world.clock import VirtualClock
 from tests.support.runner_bench import Bench, Head, Meter, Person, make_runner, new_record, recorded
 
@@ -47,6 +50,24 @@ def stopped(tmp_path):
         return str(failure.value), readings, failed.data["instrument"]
 
     return carry_out
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+@pytest.mark.parametrize("command", [b"*IDN?", b"FETC?"])
+def test_a_dry_run_names_the_simulation_that_failed_and_not_its_wire(bench, monkeypatch, command):
+    handle = ScpiInstrument.handle
+
+    def mistaken(meter, message, interrupted):
+        return {}["no such key"] if message == command else handle(meter, message, interrupted)
+
+    monkeypatch.setattr(ScpiInstrument, "handle", mistaken)
+    status, _, err = bench("run", "quick", "--dry-run", "--name", "broken", "--bench", "paper-stand")
+    assert status == 2
+    cause = f"voltmeter.x: its simulation failed at {command.decode()} with KeyError: 'no such key'"
+    assert cause in err
+    assert "broke the connection" not in err
+    failed = next(e for e in Run(Path("runs/broken")).history.events if e.type == "run_failed")
+    assert failed.data["error"].startswith(cause)
 
 
 @pytest.mark.parametrize(

@@ -149,16 +149,24 @@ def test_an_event_that_cannot_follow_is_not_written(tmp_path):
     assert (history.problems, len(history.events)) == ((), 2)
 
 
-def test_a_full_disk_loses_nothing_and_says_so(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("number", "remedy"),
+    [
+        (errno.ENOSPC, "free disk space"),
+        (errno.EFBIG, "raise the limit of a file's size"),
+        (errno.EROFS, "make the folder writable"),
+    ],
+)
+def test_a_disk_that_takes_nothing_more_loses_nothing_and_says_so(tmp_path, monkeypatch, number, remedy):
     folder = tmp_path / "run"
     record = Record.create(folder, {}, {}, lambda: NOON)
     record.append("run_started", 0.0, step=0, instruments={})
 
     def full(descriptor):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        raise OSError(number, os.strerror(number))
 
     monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(RecordError, match=r"No space left.*; free disk space, then continue$"):
+    with pytest.raises(RecordError, match=rf"{os.strerror(number)}.*; {remedy}, then continue$"):
         record.append("step_done", 1.0, step=0)
     monkeypatch.undo()
     record.append("step_done", 1.0, step=0)

@@ -292,4 +292,6 @@ def test_a_pause_while_a_soak_is_repeated_does_not_begin_it_again(tmp_path):
     record.close()
     history, _, _ = recorded(tmp_path / "run")
     assert begun.count("soak") == 2
-    assert [e.data["wish"] for e in history.events if e.type == "wish_refused"] == ["pause"]
+    (refused,) = (e.data for e in history.events if e.type == "wish_refused")
+    assert refused["wish"] == "pause"
+    assert refused["why"] == "a wait before the next step is repeated; pause after it, or stop the run"

@@ -146,7 +146,7 @@ def loaded_class(section: InstrumentForm, which: Literal["driver", "simulation"]
     except Exception as error:
         why = why_not_loaded(error, Path(devices().origin(section.driver) or "built-in").parent)
         cause = message(f"the {which} {getattr(device, which)} cannot be loaded ({why})")
-        raise BenchError(section.name, cause, f"correct the {which}, then start again") from error
+        raise BenchError(section.name, cause, f"correct the {which}") from error
 
 
 def _thermometers(sections: InstrumentsSection, meters: Sequence[Any], given: Surroundings) -> dict[str, Any]:
@@ -198,7 +198,7 @@ def _made(section: InstrumentForm, *given: Any, **options: Any) -> Any:
         raise
     except Exception as error:
         cause = message(f"its driver cannot be made ({type(error).__name__}: {error})")
-        raise BenchError(section.name, cause, f"correct {driver.__module__}, then start again") from error
+        raise BenchError(section.name, cause, f"correct {driver.__module__}") from error
     protocol = PROTOCOLS[section.role]
     if lacking := sorted(name for name in protocol_members(protocol) if not _has(made, name)):
         cause = message(f"its driver has no {', '.join(lacking)}")

@@ -119,6 +119,16 @@ def test_two_clients_at_once_share_one_instrument_and_keep_their_own_replies() -
     assert set(answers["b"]) == {b"+1.000000E+01\n"}
 
 
+def test_what_an_earlier_connection_sent_is_carried_out_before_a_later_one_is_heard() -> None:
+    with one_meter() as (server, _):
+        for number in range(300):
+            nplc = (b"1", b"10")[number % 2]
+            with Client(server.port) as leaving:
+                leaving.write(b"VOLT:NPLC " + nplc + b"\n")
+            with Client(server.port) as coming:
+                assert float(coming.ask(b"VOLT:NPLC?\n")) == float(nplc)
+
+
 def test_control_c_is_device_clear() -> None:
     with one_meter() as (_, client):
         client.write(b"TRIG:SOUR BUS;:INIT\n")
