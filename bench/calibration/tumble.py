@@ -81,7 +81,8 @@ def join(
     """Return the joint fit of the readings at 1 g and the `points`, and the test of their agreement.
 
     The fit `found` at 1 g, with its covariance, is the prior; if its noise grows with the signal, so does that of
-    the points. `opened` is the number of unknowns that the readings at 1 g do not determine. Raises `CalibrationError` if the iteration does not converge.
+    the points. `opened` is the number of unknowns that the readings at 1 g do not determine. Raises
+    `CalibrationError` if the iteration does not converge.
     """
     fit, growth = found.fit, 0.0 if found.growth is None else found.growth
     force = points.force_ms2 / g_m_s2

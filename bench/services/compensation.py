@@ -207,10 +207,12 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
         own = rows.select(level == number)
         t = float(np.mean(own.temperature_c))
         own = _at(t, own, model)
+        growth = 0.0 if model.growth is None else model.growth
+        larger = np.hypot(1.0, growth * (own.signal - model.block(t).U0))
         yield (
             t,
             verify(
-                own, model.block(t), model.covariance_at(t), noise, by.limit_g, rule=by.rule,
+                own, model.block(t), model.covariance_at(t), noise * larger, by.limit_g, rule=by.rule,
                 population=by.population,
             ),
         )  # fmt: skip
