@@ -18,7 +18,6 @@ from bench.calibration.components import (
     SharedErrorFit,
     note_on_search,
     notes_on_noise,
-    rounding_of,
     take_in,
 )
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
@@ -30,6 +29,7 @@ from bench.calibration.noise import KnownStand, SharedRounding, require_told
 from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank, unseen_coefficients
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
+from bench.calibration.rounding import rounding_of
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings

@@ -14,30 +14,18 @@ from bench.base.languages import message
 from bench.base.numbers import scale_for, two_digits
 from bench.calibration.design import Problem
 from bench.calibration.gls import Fit, finish
-from bench.calibration.noise import (
-    SharedRounding,
-    repeat_groups,
-    rounding_variance,
-)
+from bench.calibration.noise import SharedRounding, repeat_groups
 from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
+from bench.calibration.rounding import LEAST_ALONE, MOST_SIGNALS, is_rounded, rounded_alike
 from bench.model.conditions import Conditions
 from bench.stats.reml import Mixed, Projection, asked_for, maximise
 
-SMOOTHED: Final = 2.0
-"""Above this multiple of the variance of rounding, repeats share less than 1 % of the noise variance."""
 ASKED_P: Final = 0.01
 """Familywise significance level for adding a variance component."""
 SOME: Final = 0.2
 """Start value of a component's variance, as a fraction of the noise variance."""
 HARDLY_ANY: Final = 0.01
 """A component below this fraction of the noise variance is dropped, because others explain it."""
-LEAST_ALONE: Final = 0.01
-"""Least part of the noise variance that is independent in each reading if repeats share a rounding error.
-
-Without it the covariance of repeats that round alike would be singular.
-"""
-MOST_SIGNALS: Final = 1500
-"""Above this number of signals no components are searched for: the matrices would take minutes."""
 WAVES: Final = 8
 """Number of principal components of a random walk that are kept: the others have 1 % of the walk's variance."""
 AT_REST_RAD: Final = np.radians(0.01)
@@ -50,6 +38,7 @@ PASS_ANGLE: Final = "angle of a pass"
 PASS_GAIN: Final = "gain of a pass"
 READING_GAIN: Final = "gain of a reading"
 GAINS: Final = (PASS_GAIN, READING_GAIN)
+FRESH: Final = (NOISE, READING_GAIN)
 ROUNDED: Final = "rounding"
 DRIFT: Final = "drift"
 
@@ -112,18 +101,20 @@ def take_in(
 
 def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErrorFit:
     conditions, n = problem.conditions, len(problem.conditions)
-    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats" or _is_rounded(fit.noise, floor):
+    if not 0 < 3 * n <= MOST_SIGNALS or fit.noise.source != "repeats" or is_rounded(fit.noise, floor):
         return SharedErrorFit(fit)
     basic = _basic(fit)
     base = len(basic)
-    terms, theta, chance, open_to = _taken_in(problem, fit, basic, list(_further(conditions, fit)), floor)
+    terms, theta, chance, open_to, alike = _taken_in(
+        problem, fit, basic, list(_further(conditions, fit)), floor
+    )
     theta[base:] = np.where(theta[base:] < HARDLY_ANY, 0.0, theta[base:])
     if not np.any(theta[base:] > 0):
         return SharedErrorFit(fit, wander=open_to)
     theta = _with_like_gains(terms, theta)
-    own = _mixed(problem, fit, [t.columns for t in terms])
+    own = _mixed(problem, fit, [t.columns for t in terms], alike)
     at = Projection.at(own, theta)
-    shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit)
+    shared = _shared(problem, fit, own, terms, theta, at, chance, base, unit, alike)
     found_drifts = np.zeros(3)
     for component in shared.components:
         if component.what == DRIFT:  # a single run determines it with few degrees of freedom
@@ -131,25 +122,6 @@ def _searched(problem: Problem, fit: Fit, unit: str, floor: float) -> SharedErro
     wander = np.where(found_drifts > 0, found_drifts, open_to)
     # one run shows little of a random walk, and the channels are alike: none gets less than the rms of all three
     return replace(shared, wander=np.maximum(wander, rms(wander)))
-
-
-def rounding_of(problem: Problem, fit: Fit, resolution: float) -> SharedRounding | None:
-    """Return the error of rounding to `resolution` that repeats share; None if the noise smooths it away.
-
-    Also None if the noise is not from repeats, or the signals are more than `MOST_SIGNALS`.
-    """
-    digit = resolution / np.sqrt(12.0)
-    large = 3 * len(problem.conditions) > MOST_SIGNALS
-    if large or fit.noise.source != "repeats" or not _is_rounded(fit.noise, digit):
-        return None
-    conditions = problem.conditions
-    # equal angles have equal signals, and so does a whole turn later; the angle read back differs by arcseconds
-    turn = np.round(np.degrees(conditions.angle_rad) * 100.0).astype(np.int64) % 36000
-    return SharedRounding(_labels(conditions.mount, turn), rounding_variance(fit.noise.by_channel, digit))
-
-
-def _is_rounded(noise: Noise, floor: float) -> bool:
-    return bool(noise.by_channel.min() ** 2 <= SMOOTHED * floor**2)
 
 
 def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) -> SharedErrorFit:
@@ -170,8 +142,10 @@ def _rounded(problem: Problem, fit: Fit, rounding: SharedRounding, unit: str) ->
 
 def _taken_in(
     problem: Problem, fit: Fit, basic: list[_Term], further: list[_Term], floor: float
-) -> tuple[list[_Term], Floats, Floats, Floats]:
+) -> tuple[list[_Term], Floats, Floats, Floats, Floats]:
     """Return the accepted terms, their variances and p-values (k,), and the possible bias wander (3,).
+
+    Last is the covariance (N, N) of rounding errors: repeats of small signals share them even if the noise grows.
 
     All kinds of component form one family of tests with the familywise error rate `ASKED_P`. By Holm's step-down
     method each next kind is tested in a model that contains the kinds already accepted.
@@ -180,9 +154,9 @@ def _taken_in(
     theta = np.ones(len(basic))
     theta[-1] = float(fit.noise.setting_rad > 0)
     least = np.minimum((floor / fit.noise.by_channel) ** 2, 1.0)
-    open_to = np.zeros(3)
+    open_to, alike = np.zeros(3), np.zeros((len(basic[0].columns),) * 2)
     while left:
-        mixed = _mixed(problem, fit, [t.columns for t in (*terms, *left)])
+        mixed = _mixed(problem, fit, [t.columns for t in (*terms, *left)], alike)
         at = Projection.at(mixed, np.concatenate([theta, np.zeros(len(left))]))
         asked = asked_for(at, mixed.columns, len(terms), fit.noise.reading_dof)
         if len(terms) == len(basic):
@@ -194,11 +168,16 @@ def _taken_in(
         left = [t for t in left if t.what != what]
         terms += new
         chance = np.concatenate([chance, np.full(len(new), max(p, float(chance.max())))])
-        own, start = _mixed(problem, fit, [t.columns for t in terms]), np.full(len(terms), SOME)
+        own, start = _mixed(problem, fit, [t.columns for t in terms], alike), np.full(len(terms), SOME)
         start[: len(theta)] = np.where(theta > 0, theta, SOME)
         at_least = np.concatenate([least, np.zeros(len(terms) - 3)])
         theta, _ = maximise(own, start, np.ones(len(terms)), at_least)
-    return terms, theta, chance, open_to
+        if what == READING_GAIN:
+            fresh = [
+                v * np.sum(t.columns**2, axis=1) for t, v in zip(terms, theta, strict=True) if t.what in FRESH
+            ]
+            alike = rounded_alike(problem.conditions, np.sqrt(np.sum(fresh, axis=0)), floor)
+    return terms, theta, chance, open_to, alike
 
 
 def _with_like_gains(terms: list[_Term], theta: Floats) -> Floats:
@@ -381,20 +360,23 @@ def shared_later(
 # --- the fit with them ------------------------------------------------------------------------------
 
 
-def _mixed(problem: Problem, fit: Fit, Z: list[Floats]) -> Mixed:
-    """Return the linear system of the fit as a mixed model; unknowns with a prior enter as a known covariance."""
+def _mixed(problem: Problem, fit: Fit, Z: list[Floats], alike: Floats | float = 0.0) -> Mixed:
+    """Return the linear system of the fit as a mixed model.
+
+    Unknowns with a prior, and rounding errors `alike` (N, N) in repeats, enter as a known covariance.
+    """
     system, others = fit.system, fit.others
     rows = np.concatenate([system.jacobian.reshape(-1, system.jacobian.shape[2]), system.free.jacobian])
     fixed = rows.shape[1] - len(others)
     y = np.concatenate([system.left.ravel(), system.free.left])
     y = y + rows[:, fixed:] @ (others - problem.prior_mean)
     scaled = problem.by_prior(rows[:, fixed:])
-    return Mixed(y, rows[:, :fixed], tuple(Z), scaled @ scaled.T)
+    return Mixed(y, rows[:, :fixed], tuple(Z), scaled @ scaled.T + alike)
 
 
 def _shared(
     problem: Problem, fit: Fit, mixed: Mixed, terms: list[_Term], theta: Floats, at: Projection, chance: Floats,
-    base: int, unit: str,
+    base: int, unit: str, alike: Floats,
 ) -> SharedErrorFit:  # fmt: skip
     used = theta > 0
     information = at.moments(mixed.only(used).columns)[2]
@@ -404,8 +386,7 @@ def _shared(
     wider = theta * np.array([widening(nu) ** 2 for nu in dof])
     noise = _noise(fit, terms, theta, dof, base)
     n = len(fit.residuals)
-    prior_free = replace(mixed, known=np.zeros_like(mixed.known))
-    covariance = prior_free.covariance(wider)
+    covariance = replace(mixed, known=alike).covariance(wider)
     final = finish(problem, fit, covariance, noise)
     found = tuple(
         Component(t.what, t.channels, float(np.sqrt(size)) * rms(t.unit_of),

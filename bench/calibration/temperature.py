@@ -247,9 +247,9 @@ class TemperatureModel:
     `values` (12, D + 1) are in unit/g/K^d and unit/K^d; those above the degree in `degrees` (12,) are zero.
     `covariance` (12 (D + 1), 12 (D + 1)) is the covariance of `values`, row after row. It includes the uncertainty
     due to terms that the data did not support, if the data chose the degrees. `of_assumed` is its part due to stand
-    angles of merely assumed size. `fitted` tests the fit against the
-    noise. `curve` tests the polynomials against coefficients that are free at each plateau (None if a plateau alone
-    does not determine them).
+    angles of merely assumed size. `growth` (3,) is the noise per signal, divided by `noise`, the noise at zero
+    signal; None if it does not grow. `fitted` tests the fit against the noise. `curve` tests the polynomials
+    against coefficients that are free at each plateau (None if a plateau alone does not determine them).
     """
 
     unit: str
@@ -264,6 +264,7 @@ class TemperatureModel:
     hysteresis: ThermalHysteresis | None
     plateaus: tuple[PlateauResult, ...]
     noise: Noise
+    growth: Floats | None
     fitted: LackOfFit
     curve: LackOfFit | None
     readings: int

@@ -26,6 +26,7 @@ from bench.calibration.gls import (
     solve,
 )
 from bench.calibration.noise import require_told, whiten
+from bench.calibration.noise_growth import grows, growth_of, note_on_growth
 from bench.calibration.observability import require_rank
 from bench.calibration.result import CalibrationError, LackOfFit, Noise
 from bench.calibration.temperature import (
@@ -52,7 +53,8 @@ class ThermalProblem:
     `signal` (n, 3) are the readings, `basis` (n, m) the values of m basis functions at the readings. `terms` (12,
     m) is true for each coefficient and basis function that the fit estimates. `problem` has the conditions, with an
     index for each mounting, and the stand angles; the size of those in `assumed` is only assumed. `groups` (n,)
-    numbers the groups of repeats. `floor` is the lower limit of the noise, in the unit of the signal.
+    numbers the groups of repeats. `floor` is the lower limit of the noise, in the unit of the signal. `growth` (3,)
+    is the noise per signal, divided by the noise at zero signal.
     """
 
     problem: Problem
@@ -62,6 +64,15 @@ class ThermalProblem:
     groups: Ints
     floor: float
     assumed: frozenset[str] = frozenset()
+    growth: Floats | float = 0.0
+
+    def level(self, values: Floats) -> Floats:
+        """Return what makes the noise of all signals (n, 3) of a channel equal, 1 at zero signal."""
+        return np.asarray(1.0 / np.hypot(1.0, self.growth * self.without_bias(values)))
+
+    def without_bias(self, values: Floats) -> Floats:
+        """Return the signals minus U0, (n, 3)."""
+        return np.asarray(self.signal - self.basis @ values[9:].T)
 
     def force(self, others: Floats, setting_rad: float = 0.0) -> Floats:
         """Return the specific force of each row on the axes of the block, g, shape (n, 3).
@@ -117,7 +128,9 @@ class ThermalFit:
 
     `covariance` (t, t) has the t fitted terms in the order of `numpy.nonzero(terms)`; `of_assumed` (t, t) is its
     part due to stand angles of merely assumed size. `others` (q,) are the stand angles, rad. `misfit` is the
-    chi-square of residuals and priors; `residuals` and `slope` (du/dphi) are (n, 3).
+    chi-square of residuals and priors; `residuals` and `slope` (du/dphi) are (n, 3). If the noise grows with the
+    signal, both are multiplied by the level of the task. `left` (n, 3) is the part of its variance that each
+    residual keeps, as the fit follows the readings.
     """
 
     values: Floats
@@ -129,6 +142,7 @@ class ThermalFit:
     misfit: float
     residuals: Floats
     slope: Floats
+    left: Floats
 
     @property
     def vector(self) -> Floats:
@@ -167,7 +181,7 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
             f"the fit over temperature did not converge: after {MOST_ITERATIONS} steps a term still moves by "
             f"{moved:.2g} of its standard uncertainty; check for rows of another installation, block or unit"
         )
-    residuals = task.signal - task.predict(values, others)
+    residuals = task.level(values) * (task.signal - task.predict(values, others))
     whitened = whiten(residuals[:, :, None], system.slope, sizes)
     pulls = task.problem.pulls(others)
     misfit = float(np.sum(whitened**2) + np.sum(pulls**2))
@@ -175,12 +189,17 @@ def fit(task: ThermalProblem, noise: Noise | None = None) -> ThermalFit:
     at = count + np.flatnonzero([STAND_ANGLES[one.column] in task.assumed for one in task.problem.stand])
     across = covariance[:count, at]
     of_assumed = across @ np.linalg.solve(covariance[np.ix_(at, at)], across.T)
-    return ThermalFit(values, task.terms, own, of_assumed, others, sizes, misfit, residuals, system.slope)
+    left = 1.0 - np.sum(found.q[: residuals.size] ** 2, axis=1).reshape(-1, 3)
+    return ThermalFit(
+        values, task.terms, own, of_assumed, others, sizes, misfit, residuals, system.slope, left
+    )
 
 
 def _linearise(task: ThermalProblem, values: Floats, others: Floats) -> System:
     left = task.signal - task.predict(values, others)
-    return System(left, task.jacobian(values, others), task.slope(values, others))
+    level = task.level(values)
+    slope = level * task.slope(values, others)
+    return System(level * left, level[:, :, None] * task.jacobian(values, others), slope, level=level)
 
 
 def _estimated_noise(task: ThermalProblem, values: Floats, others: Floats) -> Noise:
@@ -295,6 +314,7 @@ class _Body:
     reference_c: float
     scale_k: float
     assumed: frozenset[str]
+    growth: Floats | float = 0.0
 
     def powers(self, degree: int, *, of_levels: bool = False) -> Floats:
         """Return the powers 0…degree (n, degree + 1) of the scaled temperature of each row.
@@ -320,6 +340,7 @@ class _Body:
             self.repeats,
             self.floor,
             self.assumed,
+            self.growth,
         )
 
 
@@ -346,6 +367,13 @@ def temperature_model(
     sides = body.sorted.branch / 2.0 * body.sorted.both_sides
     basis = np.column_stack([body.powers(highest), sides] if by_side else [body.powers(highest)])
     full = fit(body.task(basis))
+    squared = whiten(full.residuals[:, :, None], full.slope, full.noise)[:, :, 0] ** 2
+    told = grows(squared, body.task(basis).without_bias(full.values) ** 2)
+    growth = None
+    for _ in range(GROWTHS if told else 0):
+        growth = _growth(body.task(basis), full)
+        body = replace(body, growth=growth)
+        full = fit(body.task(basis))
     require_told(full.noise)
     if degree is None:
         choice = choose_degrees(full, highest)
@@ -372,6 +400,7 @@ def temperature_model(
         hysteresis=_hysteresis(best) if by_side else None,
         plateaus=plateaus,
         noise=full.noise,
+        growth=growth,
         fitted=judge(task, best),
         curve=None if free is None else _curve(best, free),
         readings=len(body.sorted.rows),
@@ -379,7 +408,7 @@ def temperature_model(
         notes=(
             *_notes(body, plateaus, by_side),
             *note_on_prior(full.noise, body.sorted.rows.unit),
-            *_on_growth(task, best),
+            *([] if growth is None else note_on_growth(growth * full.noise.by_channel, full.noise.dof)),
         ),
     )
 
@@ -547,32 +576,14 @@ def _notes(body: _Body, plateaus: tuple[PlateauResult, ...], by_side: bool) -> t
     return tuple(notes)
 
 
-GROWS_P: Final = 0.001
-"""P-value below which a note says that the noise grows with the signal."""
+GROWTHS: Final = 3
+"""Number of fits with noise that grows with the signal: each changes how much of its variance a residual keeps."""
 
 
-def _on_growth(task: ThermalProblem, found: ThermalFit) -> tuple[str, ...]:
-    """Return a note if the noise grows with the signal, which u leaves out.
-
-    The test is that of R. Koenker, J. Econometrics 17 (1981) 107, one-sided, for squared residuals and (K a)^2; it
-    holds for heavy tails, too.
-    """
-    coefficients = task.basis @ found.values.T
-    without_bias = row_outputs(coefficients, task.force(found.others)) - coefficients[:, 9:]
-    squared = whiten(found.residuals[:, :, None], found.slope, found.noise)[:, :, 0] ** 2
-    power = without_bias**2
-    about = [one - one.mean(axis=0) for one in (squared, power)]
-    size = np.prod([np.linalg.norm(one, axis=0) for one in about], axis=0)
-    if not np.all(size > 0):
-        return ()
-    z = np.sqrt(len(squared)) * np.sum(about[0] * about[1], axis=0) / size
-    p = float(special.ndtr(-np.sum(z) / np.sqrt(len(z))))
-    if p >= GROWS_P:
-        return ()
-    ratio = np.sqrt(np.sum(power * squared, axis=0) / np.sum(power, axis=0) / np.mean(squared, axis=0))
-    return (
-        message(
-            f"the noise grows with the signal (p = {p:.1g}): the readings give scale factors and their terms a u "
-            f"up to {np.max(ratio):.2g} times too small; 'bench calibrate' of one temperature includes it"
-        ),
-    )
+def _growth(task: ThermalProblem, found: ThermalFit) -> Floats:
+    """Return the noise per signal, divided by the noise at zero signal, (3,)."""
+    level = task.level(found.values)
+    squared = (found.residuals / level) ** 2 / found.left
+    turned = (found.noise.setting_rad * found.slope / level) ** 2
+    power = task.without_bias(found.values) ** 2
+    return np.array([growth_of(squared[:, c], power[:, c], turned[:, c], task.floor) for c in range(3)])

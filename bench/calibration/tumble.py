@@ -16,15 +16,16 @@ from scipy import linalg, special
 
 from bench.base.arrays import CHANNELS, Floats, HasCovariance, rms, u_of
 from bench.base.languages import message
-from bench.calibration import gls
+from bench.calibration import gls, mistakes
 from bench.calibration.budget.coefficients import MeasuredReadings, meters_of, parts_of
 from bench.calibration.budget.whole import GRAVITY, acting_sources, without_meters
 from bench.calibration.calibrate import first_guess, usable_rows
-from bench.calibration.components import notes_on_components, rounding_of, take_in
+from bench.calibration.components import SharedErrorFit, notes_on_components, take_in
 from bench.calibration.design import FIXED, Problem, make_problem
 from bench.calibration.gls import Fit
 from bench.calibration.noise import require_told
 from bench.calibration.result import MISALIGNMENTS, NOT_ACCEPTED_P, CalibrationError, LackOfFit, Noise
+from bench.calibration.rounding import rounding_of
 from bench.config.bench_file.file import BenchFile
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, Parameter, Seen
@@ -75,13 +76,15 @@ class AboveOneG:
 
 
 def join(
-    problem: Problem, fit: Fit, points: CentrifugePoints, g_m_s2: float, opened: int
+    problem: Problem, found: SharedErrorFit, points: CentrifugePoints, g_m_s2: float, opened: int
 ) -> tuple[Fit, AboveOneG]:
     """Return the joint fit of the readings at 1 g and the `points`, and the test of their agreement.
 
-    The `fit` at 1 g, with its covariance, is the prior. `opened` is the number of unknowns that the readings at 1 g
-    do not determine. Raises `CalibrationError` if the iteration does not converge.
+    The fit `found` at 1 g, with its covariance, is the prior; if its noise grows with the signal, so does that of
+    the points. `opened` is the number of unknowns that the readings at 1 g do not determine. Raises
+    `CalibrationError` if the iteration does not converge.
     """
+    fit, growth = found.fit, 0.0 if found.growth is None else found.growth
     force = points.force_ms2 / g_m_s2
     conditions, kept = Conditions.of(["1"] * len(force), np.zeros(len(force))), np.isfinite(points.signal)
     start = np.concatenate([fit.block.vector, fit.others])
@@ -102,7 +105,8 @@ def join(
             [(predicted(at + s, force) - predicted(at - s, force))[kept] / (2 * np.sum(s)) for s in steps],
             axis=1,
         )
-        noise = _noise(predicted, at, points, g_m_s2, fit.noise.widened().by_channel)
+        level = np.hypot(1.0, growth * (predicted(at, force) - at[9:FIXED]))
+        noise = _noise(predicted, at, points, g_m_s2, level * fit.noise.widened().by_channel)
         lower = linalg.cholesky(noise[np.ix_(kept.ravel(), kept.ravel())], lower=True)
         whitened = linalg.solve_triangular(
             lower, np.column_stack([H * scale, (points.signal - predicted(at, force))[kept]]), lower=True
@@ -138,14 +142,14 @@ def _noise(
 ) -> Floats:  # fmt: skip
     """Return the covariance (3n, 3n) of the points' signals: noise of the readings and errors of the force.
 
-    `reading` (3,) is the noise of one signal of each channel.
+    `reading` (n, 3) is the noise of the signals.
     """
     force, size = points.force_ms2 / g_m_s2, np.linalg.norm(points.force_ms2, axis=1)[:, None] / g_m_s2
     along = force / np.where(size > 0.0, size, 1.0)
     slope = (predicted(at, force + STEP_G * along) - predicted(at, force - STEP_G * along)) / (2 * STEP_G)
     own = linalg.block_diag(*(row[:, None] for row in slope * points.u_ms2[:, None] / g_m_s2))
     shared = (slope * size * points.u_relative[:, None]).ravel()
-    return np.asarray(np.diag(np.tile(reading**2, len(slope))) + own @ own.T + np.outer(shared, shared))
+    return np.asarray(np.diag((reading**2).ravel()) + own @ own.T + np.outer(shared, shared))
 
 
 # --- terms of each accelerometer ----------------------------------------------------------------------
@@ -371,7 +375,7 @@ def tumble_view(
     The other arguments are as in `calibrate`. The terms replace the effects of the model. Points `above` 1 g join
     the fit. At 1 g a power series is not unique (DTIC AD0607702): only points above 1 g separate a cubic term from
     terms that act like one at 1 g. Raises `CalibrationError` if the readings do not determine the twelve
-    coefficients, or a term is unknown or repeated.
+    coefficients or show no response of a channel, or a term is unknown or repeated.
     """
     strange = [term for term in terms if term not in HOMES]
     if strange or len(set(terms)) < len(terms):
@@ -401,11 +405,11 @@ def tumble_view(
     if shared.growth is not None:
         fit = gls.fit(replace(problem, growth=shared.growth), rows.signal, start, noise, rows.resolution)
     fit_test = replace(gls.lack_of_fit(problem, fit, rounding), rms=rms(fit.residuals))
-    fit = shared.fit
-    joined = None
+    fit, joined = shared.fit, None
     if above is not None:
         opened = sum(own.rank - there.rank for own, there in zip(judged, alone, strict=True))
-        fit, joined = join(problem, fit, above, g_m_s2, opened)
+        fit, joined = join(problem, shared, above, g_m_s2, opened)
+    mistakes.refuse_singular(fit.block, u_of(fit.covariance[:FIXED, :FIXED]))
     axes, through = _quantities(problem, fit, judged, readings.unit)
     whole = through @ fit.covariance @ through.T
     whole = 0.5 * (whole + whole.T)

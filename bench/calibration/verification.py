@@ -358,7 +358,8 @@ def verify(
 
     `g_ratio` is the gravity to which the coefficients refer, divided by local gravity; it differs from 1 for a
     block calibrated elsewhere. u of each delta g follows from the `covariance` (12, 12) of the coefficients and
-    from `reading_noise`, independent in each signal (unit of the signal; one value, or one per channel). `joint`
+    from `reading_noise`, independent in each signal (unit of the signal; one value, one per channel, or
+    one per signal). `joint`
     replaces both: parts by name, (n, n) each, of the covariance of |a| at the points, in the gravity of the
     coefficients. The setting error of the head has no effect, because the modulus does not depend on it. `rule` is
     one of `RULES`, a `DecisionRule`, or None for the default. If `fits` is false, the coefficients contradict their
@@ -380,7 +381,7 @@ def verify(
     if joint is None:
         joint = {
             "coefficients": by_coefficient @ covariance @ by_coefficient.T,
-            "reading_at_the_point": np.diag(by_signal**2 @ np.broadcast_to(np.square(reading_noise), 3)),
+            "reading_at_the_point": np.diag(np.sum(np.square(by_signal * reading_noise), axis=1)),
         }
     joint = {name: part * g_ratio**2 for name, part in joint.items()}
     together = sum(joint.values(), np.zeros((len(rows), len(rows))))

@@ -141,7 +141,7 @@ def facts(model: TemperatureModel, table: CompensationTable, of: str) -> list[st
         f"u of a from the calibration (k = 1): at most {model.largest_u_g:.2g} g at 1 g; the JSON result has the "
         "covariance.",
         "Above 1 g the block's nonlinearity K2 a^2 and K3 a^3 adds to it ('bench budget').",
-        "It excludes the noise of U and the error of T, 1 K of which changes a at 1 g by up to "
+        "It excludes the noise of U and the error of the later T, 1 K of which changes a at 1 g by up to "
         f"{model.per_kelvin_g:.2g} g.",
         *picture(model.unit),
     ]

@@ -450,7 +450,7 @@ def _learned(
 ) -> Learned:
     runs, body, noise = found.runs, found.body, found.noise
     there = at(body, theta, beliefs)
-    spread = variances_of(theta, observed_information(body, theta, beliefs))
+    spread = variances_of(theta, observed_information(body, theta, beliefs), there.information)
     names = [*layout.kinds, *(f"drift[{channel}]" for channel in CHANNELS)]
     unit = np.concatenate([layout.stated, np.full(3, layout.walk)])
     variances = tuple(
@@ -492,15 +492,18 @@ def _learned(
     )
 
 
-def variances_of(theta: Floats, information: Floats) -> Floats:
-    """Return the covariance (k, k) of the variances (k,) from their information (k, k).
+def variances_of(theta: Floats, information: Floats, expected: Floats) -> Floats:
+    """Return the covariance (k, k) of the variances (k,) from their observed `information` (k, k).
 
-    A variance of zero is uncorrelated with all others.
+    A variance of zero is uncorrelated with all others. Where few runs leave a likelihood without a peak, the
+    `expected` information replaces the observed one.
     """
     k = len(theta)
     inside = np.flatnonzero(theta > 1e-6)
     spread = np.zeros((k, k))
     own = information[np.ix_(inside, inside)]
+    if len(inside) and np.linalg.eigvalsh(own)[0] <= 0.0:
+        own = expected[np.ix_(inside, inside)]
     if len(inside):
         size = np.sqrt(np.maximum(np.diag(own), 1e-12))
         spread[np.ix_(inside, inside)] = np.linalg.pinv(

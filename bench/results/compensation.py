@@ -338,7 +338,7 @@ class CompensateResult(ResultModel):
         description="what u and `covariance` contain, and what they do not, in a sentence"
     )
     per_kelvin_g: float
-    """the most that an error of 1 K of the temperature changes a at 1 g, in g; u does not contain this error"""
+    """the most that an error of 1 K of a later temperature changes a at 1 g, in g; u does not contain this error"""
 
 
 EQUATION: Final = (
@@ -348,8 +348,8 @@ EQUATION: Final = (
 )
 INCLUDED: Final = (
     "u is a standard uncertainty (k = 1) of a term; the covariance of the coefficients at T is J covariance J^T, J "
-    "the powers of T - reference_c, plus hysteresis.covariance; it excludes the error of T (per_kelvin_g) and the "
-    "noise of U"
+    "the powers of T - reference_c, plus hysteresis.covariance; it includes the error of the calibration's "
+    "temperatures, and excludes that of T (per_kelvin_g) and the noise of U"
 )
 
 
@@ -441,8 +441,8 @@ def print_compensation(
         f"{error.single * 1e6:.2g} µg up to {error.reach_g:g} g"
     )
     out.print(
-        f"u of a at 1 g: at most {quantity(model.largest_u_g, 'g')}, without the error of the temperature, 1 K of "
-        f"which changes a by up to {quantity(model.per_kelvin_g, 'g')}"
+        f"u of a at 1 g: at most {quantity(model.largest_u_g, 'g')}, without the error of the later temperature, "
+        f"1 K of which changes a by up to {quantity(model.per_kelvin_g, 'g')}"
     )
     print_notes(out, model.notes)
 

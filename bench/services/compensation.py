@@ -12,7 +12,7 @@ import numpy as np
 from bench.base.arrays import Floats
 from bench.base.files import to_text
 from bench.base.text import listed, repeated
-from bench.calibration.budget.whole import sign
+from bench.calibration.budget.whole import acting_sources, sign
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import SourceOfError
 from bench.calibration.temperature import (
@@ -38,8 +38,8 @@ from bench.services.requests.evaluation import Compensate, Tumble
 from bench.services.source import Request, Source, load_sources, one_place, reading
 from bench.services.verification import own_judgement
 
-OVER_TEMPERATURE: Final = ("temperature", "thermometer")
-"""Errors of a calibration at a single temperature that a model over temperature does not contain."""
+OVER_TEMPERATURE: Final = ("thermometer", "temperature")
+"""Errors of the block's temperature; the first that a bench has is that of the temperatures in the readings."""
 
 
 def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...]:
@@ -48,8 +48,9 @@ def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...
     Angles of assumed size are in the fit of the model; their covariance is that at its reference. The readings are
     corrected to the reference temperature. Otherwise the fit would take their dependence on the temperature for
     noise, which enlarges the part of the third mounting angle. A mounting may last for several series, as in the
-    fit of the model.
+    fit of the model. The error of the temperatures acts through the model's own slopes, not through priors.
     """
+    misread, change = _misread(source, model)
     own = sort_readings([source.readings])
     readings = replace(_at(model.reference_c, own.rows, model), series=own.mounting)
     found = calibrate(
@@ -63,11 +64,21 @@ def _hidden(source: Source, model: TemperatureModel) -> tuple[SourceOfError, ...
     )
     signed = sign(found, readings, source.bench, source.model, source.traced.day, source.known_meters)
     constant = np.ix_(*2 * [model.constant])
+    instead = dict.fromkeys(source.assumed_u, model.of_assumed) | {misread: np.outer(change, change)}
     return tuple(
-        replace(s, covariance=model.of_assumed[constant]) if s.name in source.assumed_u else s
+        replace(s, covariance=instead[s.name][constant]) if s.name in instead else s
         for s in signed.sources
-        if s.name not in OVER_TEMPERATURE
+        if s.name == misread or s.name not in OVER_TEMPERATURE
     )
+
+
+def _misread(source: Source, model: TemperatureModel) -> tuple[str, Floats]:
+    """Return the error of the temperatures read, and what its u changes in the terms (12 (D + 1),)."""
+    sizes = {error.name: error.u for error in acting_sources(model.unit, source.bench, source.model)}
+    name = next(name for name in OVER_TEMPERATURE if name in sizes)
+    change = np.zeros_like(model.values)
+    change[:, :-1] = sizes[name] * np.arange(1, model.values.shape[1]) * model.values[:, 1:]
+    return name, change.ravel()
 
 
 def _at(temperature_c: float, readings: Readings, model: TemperatureModel) -> Readings:
@@ -149,11 +160,14 @@ def compensated(request: Compensate, loaded: Sequence[Source]) -> Compensation:
         )
         shown = replace(shown, notes=(*shown.notes, note))
     hidden = _hidden(first, shown)
-    further = [s for s in hidden if s.name not in first.assumed_u]
+    further = [s for s in hidden if s.name not in (*first.assumed_u, *OVER_TEMPERATURE)]
     combined, same_meters = _with(shown, further), _with(shown, (s for s in further if not s.cancels))
     table = make_table(combined, first.bench.unit_under_test.range, request.step)
     checks = tuple(check for source in loaded for check in _checks(source, same_meters))
     checked = table_checks(combined, table)
+    # the thermometer errs alike when the same run is verified
+    _, change = _misread(first, shown)
+    combined = replace(combined, covariance=combined.covariance + np.outer(change, change))
     result = compensate_result(
         combined,
         of_readings=shown.covariance - shown.of_assumed,
@@ -207,10 +221,12 @@ def _checks(source: Source, model: TemperatureModel) -> Iterator[tuple[float, Ve
         own = rows.select(level == number)
         t = float(np.mean(own.temperature_c))
         own = _at(t, own, model)
+        growth = 0.0 if model.growth is None else model.growth
+        larger = np.hypot(1.0, growth * (own.signal - model.block(t).U0))
         yield (
             t,
             verify(
-                own, model.block(t), model.covariance_at(t), noise, by.limit_g, rule=by.rule,
+                own, model.block(t), model.covariance_at(t), noise * larger, by.limit_g, rule=by.rule,
                 population=by.population,
             ),
         )  # fmt: skip

@@ -16,6 +16,7 @@ from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import to_text
 from bench.base.languages import message
 from bench.base.tables import as_text
+from bench.base.text import listed
 from bench.calibration.budget.meters import may_move
 from bench.calibration.intrinsic import least_dof
 from bench.calibration.noise import METERS_DRIFT
@@ -113,6 +114,13 @@ class LearningResult:
                 message(
                     "more than a third of the runs contradict the others; learn from runs of one bench between "
                     "changes"
+                )
+            )
+        if poor := [source.name for source in self.behind if not _fits(source)]:
+            own.append(
+                message(
+                    f"{listed(poor)}: 'bench calibrate' does not accept the residuals, and their cause acts on the "
+                    "learned sizes; find it with 'bench diagnose'"
                 )
             )
         return tuple(own)
@@ -247,6 +255,14 @@ def _until(expires: datetime.date | str | None, made: datetime.date) -> datetime
     if expires <= made:
         raise Refused(f"--expires {expires}: is not after {made}; give a later day, or a number of days")
     return expires
+
+
+def _fits(source: Source) -> bool:
+    """Return whether `bench calibrate` accepts the residuals of a run, or refuses it before it judges them."""
+    try:
+        return calibration_of(source).calibration.lack_of_fit.accepted()
+    except CalibrationError:
+        return True
 
 
 def _certified(source: Source) -> Source:

@@ -106,7 +106,16 @@ def line():
     nothing = np.zeros((1, 3))
     terms = np.ones((12, 4), dtype=bool)
     whole = ThermalFit(
-        value.reshape(12, 4), terms, covariance, 0.0 * covariance, np.zeros(0), noise, 0.0, nothing, nothing
+        value.reshape(12, 4),
+        terms,
+        covariance,
+        0.0 * covariance,
+        np.zeros(0),
+        noise,
+        0.0,
+        nothing,
+        nothing,
+        nothing,
     )
     return whole, design, target
 

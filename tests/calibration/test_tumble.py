@@ -272,6 +272,35 @@ def test_estimates_with_points_above_1_g_scatter_by_their_uncertainties():
     assert np.mean(chi2) == pytest.approx(15, abs=4 * np.sqrt(30 / 30))
 
 
+@pytest.mark.slow
+def test_noise_that_grows_is_that_of_points_above_1_g_too():
+    """Seeds [23, k], 10 runs with noise of 300 ppm of the signal; the bound is that of 150 degrees of freedom.
+
+    With the noise at zero signal the chi-square of the points was over 1000 times its mean.
+    """
+    chi_square = 0.0
+    for k in range(10):
+        rng = np.random.default_rng([23, k])
+        readings, above = tumble(rng, 3e-5, Terms(), points=8), centrifuge(rng, Terms(), 3e-5)
+        own, there = readings.signal, above.signal
+        readings = replace(readings, signal=U0 + (own - U0) * (1.0 + rng.normal(0.0, 3e-4, own.shape)))
+        above = replace(above, signal=U0 + (there - U0) * (1.0 + rng.normal(0.0, 3e-4, there.shape)))
+        view = tumble_view(readings, MODEL, STAND_U, G, above=above)
+        assert view.above_agrees
+        chi_square += view.above.chi2
+    assert chi_square < chi2.ppf(1 - 1e-4, 150)
+
+
+def test_a_channel_that_does_not_respond_is_refused():
+    """Seed 24: channel y shows its bias and noise alone."""
+    rng = np.random.default_rng(24)
+    readings = tumble(rng, 3e-5, Terms())
+    signal = readings.signal.copy()
+    signal[:, 1] = U0[1] + rng.normal(0.0, 3e-5, len(signal))
+    with pytest.raises(CalibrationError, match="do not show that channel y responds"):
+        tumble_view(replace(readings, signal=signal), MODEL, STAND_U, G)
+
+
 def test_points_that_contradict_the_readings_are_told():
     wrong = replace(centrifuge(None, KNOWN), force_ms2=centrifuge(None, KNOWN).force_ms2 * 1.001)
     noise = Noise(1e-5, 1e-9, np.inf, "given")

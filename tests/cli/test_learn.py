@@ -4,6 +4,7 @@ import contextlib
 import io
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -58,6 +59,24 @@ def test_from_runs_to_a_smaller_honest_u(bench, runs):
     told = after.to_dict()["stand"]
     assert told["alpha3[1]"]["value"] == pytest.approx(40.0, abs=4 * 4.5)
     assert after.coefficients["Kyx"].u_readings < before.coefficients["Kyx"].u_readings
+
+
+@pytest.mark.slow
+def test_runs_that_calibrate_does_not_accept_are_named(empty_folder):
+    """Seed 22: four waves per turn of 1 mV in each of three runs, so that none contradicts the others."""
+    tables = simulate(np.random.default_rng(22), TRUTH, 3).tables()
+    for number, table in enumerate(tables, start=1):
+        write_csv(table, Path(f"good-{number}.csv"))
+        wave = 1e-3 * np.cos(4.0 * table.angle_rad)[:, None]
+        write_csv(replace(table, signal=table.signal + wave), Path(f"poor-{number}.csv"))
+    poor, good = (
+        program.learn([f"{kind}-{k}.csv" for k in (1, 2, 3)], bench="paper-stand")
+        for kind in ("poor", "good")
+    )
+    assert poor.notes[-1].startswith(
+        "poor-1.csv, poor-2.csv and poor-3.csv: 'bench calibrate' does not accept"
+    )
+    assert not any("does not accept" in note for note in good.notes)
 
 
 @pytest.mark.slow

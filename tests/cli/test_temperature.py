@@ -87,6 +87,21 @@ def test_the_roll_of_a_mounting_is_in_u_once_whatever_the_block_does_over_temper
 
 
 @pytest.mark.slow
+def test_the_error_of_the_calibrations_temperatures_is_in_u_through_the_slopes(readings):
+    """At any temperature the covariance has at least the slopes times u(T) of the shipped bench, 0.5 K / √3."""
+    result = compensate_in_python([str(readings)]).to_dict()
+    terms = [[term["value"] for term in result["coefficients"][name]["terms"]] for name in COEFFICIENTS]
+    covariance = np.array(result["covariance"])
+    for warmth in (-30.0, 0.0, 25.0):
+        powers = warmth ** np.arange(len(terms[0]))
+        at = np.kron(np.eye(12), powers)
+        slope = np.array(terms)[:, 1:] @ (np.arange(1, len(powers)) * powers[:-1])
+        rest = at @ covariance @ at.T - np.outer(slope, slope) * 0.5**2 / 3
+        assert np.linalg.eigvalsh(rest)[0] > -1e-6 * np.trace(rest)
+    assert "temperature" in [one["name"] for one in result["uncertainty_sources"]]
+
+
+@pytest.mark.slow
 def test_points_of_one_plateau_are_verified_together(bench, readings, polynomials, tmp_path):
     """A thermometer shows another temperature at each point: four temperatures are not four verifications.
 

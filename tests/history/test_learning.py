@@ -8,7 +8,7 @@ from scipy import linalg, stats
 
 from bench.calibration.calibrate import calibrate
 from bench.calibration.result import CalibrationError
-from bench.history.learning import Beliefs, at, fitted, learn, observed_information
+from bench.history.learning import Beliefs, at, fitted, learn, observed_information, variances_of
 from bench.history.run_sums import RunSums, run_fit
 from bench.model import ForwardModel
 from bench.model.geometry import INSTALLATION_1, INSTALLATION_2, Installation
@@ -293,3 +293,12 @@ def test_a_run_without_unknown_angles_of_the_stand_has_no_columns_for_them():
     table = simulate(np.random.default_rng(17), TRUTH, 1).tables()[0]
     found = run_fit("exact", table, MODEL, {})
     assert found.stand.shape[2] == len(found.angles) == 0
+
+
+def test_a_likelihood_without_a_peak_gives_the_variances_a_real_u():
+    """The observed information was indefinite in 1 of 120 pairs of runs, and the learned file had NaN."""
+    saddle, expected = np.array([[1.0, 2.0], [2.0, 1.0]]), np.array([[4.0, 1.0], [1.0, 2.0]])
+    spread = variances_of(np.array([0.1, 0.2]), saddle, expected)
+    assert spread == pytest.approx(np.linalg.inv(expected))
+    peak = np.array([[3.0, 1.0], [1.0, 3.0]])
+    assert variances_of(np.array([0.1, 0.2]), peak, expected) == pytest.approx(np.linalg.inv(peak))
