@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lxml import etree
 
+from bench.base.languages import message
 from bench.certificate.signatory import Signatory
 from bench.services.errors import Refused
 
@@ -25,7 +26,7 @@ _CANONICAL: Final = "http://www.w3.org/2006/12/xml-c14n11"
 _MOST_BYTES: Final = 64_000_000
 
 
-ORIGINAL: Final = "ask the laboratory for the original"
+ORIGINAL: Final = message("ask the laboratory for the original")
 """The remedy for a document that is not intact."""
 
 

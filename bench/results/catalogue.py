@@ -199,7 +199,7 @@ class UnitResult(ResultModel):
             out.print(shown)
         print_notes(out, self.notes)
         due = self.due
-        told = message(f"due {due.due}: {due.why}") if due else message(f"no date due: {self.why_not_due}")
+        told = message(f"due on {due.due}: {due.why}") if due else message(f"no date due: {self.why_not_due}")
         out.print(told, style="bold")
 
 
