@@ -221,7 +221,7 @@ def persons(request: ChangePersons) -> PersonsResult:
             entry.kind == ENDED or Right.ADMINISTER not in entry.data["may"]
         ):
             remedy = (
-                "first give another person this right"
+                message("first give another person this right")
                 if entry.kind == ENDED
                 else f"give --may {','.join(sorted({*entry.data['may'], Right.ADMINISTER}))}"
             )
@@ -237,7 +237,11 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     if present == (request.what is PersonsCommand.ADD):
         if present:
             raise Refused(f"{name}: is in the register {register.folder} already; use 'bench persons change'")
-        way = "'bench persons' lists all" if request.what is PersonsCommand.END else "use 'bench persons add'"
+        way = (
+            message("'bench persons' lists all")
+            if request.what is PersonsCommand.END
+            else "use 'bench persons add'"
+        )
         raise Refused(f"{name}: is not in the register {register.folder}; {way}")
     now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
