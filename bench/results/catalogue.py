@@ -222,7 +222,9 @@ def _not_shown(count: int, option: str) -> str:
 
 def _shown(column: str, cell: str) -> str | Text:
     """Return a cell for the terminal: a state or verdict in the current language, a name as it is."""
-    return translated(cell) if column in ("state", "verdict", "problem") else Text(local_number(cell))
+    if column == "verdict":
+        return translated(cell, "statement")
+    return translated(cell) if column in ("state", "problem") else Text(local_number(cell))
 
 
 def _cell(value: object) -> str:

@@ -309,3 +309,10 @@ def test_the_name_of_a_run_stays_in_a_sentence_on_the_run():
         "run repeats starts on simulated instruments: quick, 4 steps, recorded in r"
     )
     assert told.startswith("сеанс repeats ")
+
+
+def test_the_verdict_of_a_catalogued_run_is_no_round_through_the_points():
+    from bench.results.catalogue import _shown
+
+    with speaking("uk"):
+        assert _shown("verdict", "pass") == "відповідає"
