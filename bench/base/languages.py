@@ -133,11 +133,13 @@ _WORD: Final = re.compile(r"\b[a-z]{3,}\b")
 _BLANK: Final = re.compile(r"\{(\d+)\}")
 _TYPED: Final = re.compile(
     r"'bench [^']*'|: bench .*|'\{\d+\}'|(?:choose from|known:|known are|kept in|columns?) \{\d+\}"
+    r"|(?:type one of|\(the log has) \{\d+\}|cannot share a chart \(.*"
     r"|^\{0\} \(SIMULATED\)|header lacks \{\d+\}(?:; expected at least \{\d+\})?"
     r"|(?:shipped|latest|latest runs) are: .*|^\{0\}: assumed from plausible"
     r"|^[✓✗] \{0\}(?= is )"
     r"|^\{0\}(?=: U = K a)|run 'as_found', \{0\}"
-    r"|^\{0\}(?=: \{1\}: (?:worst|\{2\}; correct it))|(?:bench file|^Tumble|^Calibration) of \{0\}"
+    r"|^\{0\}(?=: \{1\}: \{2\}; correct it)|(?:bench file|^Tumble|^Calibration) of \{0\}"
+    r"|(?:^|\bof |\bas |\bthe )run \{\d+\}(?! \()"
 )
 """The parts of an entry whose blanks hold what is typed or quoted (command, path, key, run): their values stay."""
 
@@ -259,7 +261,7 @@ class Catalogue:
             parts = text.split(joint)
             if all(map(self._settled, parts)) and (joined := joint.join(map(self._part, parts))) != text:
                 return joined
-        return self._filled(text, clauses=True) or self._part(text)
+        return self._filled(text, single=1) or self._filled(text, single=0) or self._part(text)
 
     def _last_clause(self, text: str) -> str | None:
         """Return the translation of a text whose last clause, after a semicolon, has one; None for any other."""
@@ -303,18 +305,18 @@ class Catalogue:
         entry = self._exact.get((context, text)) or self._exact.get(("", text))
         return None if entry is None else self.fill(entry, {})
 
-    def _filled(self, text: str, *, sure: bool = True, clauses: bool = False) -> str | None:
+    def _filled(self, text: str, *, sure: bool = True, single: int | None = None) -> str | None:
         """Return the translation of `text`, an entry with filled blanks; None if no entry matches.
 
         With `sure`, only the entries with at least `_SURE` letters are tried. Otherwise only the shorter entries
-        are tried, such as "{0} in {1}", and their blanks match short values only. With `clauses`, the blanks of an
-        entry that begins with one may match several clauses or sentences.
+        are tried, such as "{0} in {1}", and their blanks match short values only. In an entry that begins with a
+        blank, the first `single` blanks (by default all) match a single clause only.
         """
         for literal, entry, pattern in self._patterns[sure]:
             if literal in text and (found := pattern.fullmatch(text)) is not None:
                 values = found.groupdict("")
                 begins = entry.english.startswith("{")
-                if begins and not clauses and any(map(_CLAUSE_END.search, values.values())):
+                if begins and any(map(_CLAUSE_END.search, list(values.values())[:single])):
                     continue
                 if sure or all(len(one) <= _SHORT and not self._foreign(one) for one in values.values()):
                     typed, blanks = _typed(entry.english), {name[1:]: one for name, one in values.items()}

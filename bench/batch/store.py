@@ -14,6 +14,7 @@ from filelock import FileLock, Timeout
 
 from bench.base.computing import tracked
 from bench.base.files import from_text, read_regular, sync_folder, to_text, write_synced
+from bench.base.languages import message
 from bench.base.text import cause_of
 from bench.batch.job import COLUMNS, Job, Row, arrow_schema, program
 from bench.run.events import EVENTS, MANIFEST, sha256
@@ -57,7 +58,7 @@ def list_runs(
         )
     found = _asked(asked, catalogue) if asked else _there(words, runs)
     if not found.runs:
-        kind = "no run in the catalogue matches" if asked else "no run is there"
+        kind = message("no run in the catalogue matches") if asked else message("no run is there")
         raise Refused(f"{option} {' '.join(words)}: {kind}")
     return found
 

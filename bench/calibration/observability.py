@@ -384,7 +384,7 @@ def require_rank(force: Floats) -> None:
     axes = [axis for axis in hidden if axis != "0"]
     lost = [f"K{i}{axis}" for i in "xyz" for axis in axes]
     raise CalibrationError(
-        f"{'1 reading does' if len(force) == 1 else f'{len(force)} readings do'} not determine "
+        f"{len(force)} reading{' does' if len(force) == 1 else 's do'} not determine "
         f"{', '.join(lost) or 'the biases'}: the acceleration along "
         f"{', '.join(axes) or 'every axis'} hardly changes; add the other installation or further angles "
         "to the procedure"

@@ -250,9 +250,12 @@ def holds(register: Register, number: str) -> NumberStatus:
     """Return the status of the certificate `number`. Raises `Refused` unless it is valid now."""
     standing = issued(register, number)
     if standing.state != ISSUED:
-        told = f"by {standing.by}" if standing.state != REVOKED else f": {standing.by}"
-        told = f"{number}: it was {standing.state} {told}".replace(" :", ":")
-        raise Refused(f"{told}; name a certificate that is in force")
+        told = (
+            message(f"it was revoked: {standing.by}")
+            if standing.state == REVOKED
+            else message(f"it was {standing.state} by {standing.by}")
+        )
+        raise Refused(f"{number}: {told}; name a certificate that is in force")
     return standing
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from lxml import etree
 
+from bench.base.languages import message
 from bench.certificate.signatory import Signatory
 from bench.services.errors import Refused
 
@@ -30,7 +31,7 @@ logging.getLogger("pyhanko").setLevel(
 )  # the sentences of a verification replace its tracebacks
 
 
-ORIGINAL: Final = "ask the laboratory for the original"
+ORIGINAL: Final = message("ask the laboratory for the original")
 """The remedy for a document that is not intact."""
 
 

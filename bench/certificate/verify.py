@@ -89,7 +89,7 @@ class Findings:
         may trust a signer, or if a signed certificate's signatures could not be read.
         """
         if trusted is not None and self.unsigned:
-            return "nobody signed it"
+            return message("nobody signed it")
         reasons = [why_not_trusted(one.chain, one.signed_at, trusted) for one in self.signatures]
         return next(filter(None, reasons), "" if reasons and trusted is not None else None)
 
@@ -353,12 +353,14 @@ def against_record(found: Findings, shown: ShownValues, runs: Path) -> None:
             f"{folder}: the record gives no result ({sentence(error)}); remove the cause, then verify again"
         )
         return
-    told = f"the record in {folder} is unchanged"
+    told = message(f"the record in {folder} is unchanged")
     if again.result_json.encode() == shown.files["result.json"]:
         found.agreed.append(message(f"{told} and gives the same result to the last digit"))
     elif _as_good_as(again, shown):
         found.agreed.append(
-            f"{told} and gives the same result within {_SAME:g} u, within rounding of another computer"
+            message(
+                f"{told} and gives the same result within {_SAME:g} u, within rounding of another computer"
+            )
         )
     elif shown.release != metadata.version("triaxial-bench"):
         found.agreed.append(told)

@@ -96,8 +96,10 @@ def explain(error: Exception, command: str = "bench") -> str:
     from bench.services.errors import expected, kind_and_words, sentence
 
     if isinstance(error, typer.TyperException):
-        said = error.format_message()  # names the option
-        return f"{said}{'' if said.endswith(('.', '?')) else '.'} See '{command} --help-all'"
+        said = error.format_message().replace(" Did you mean", "; did you mean")  # names the option
+        asked = f"{command} --help-all"
+        more = message(f"See '{asked}'")
+        return f"{said}{'' if said.endswith(('.', '?')) else '.'} {more}"
     if isinstance(error, Refused | OSError) or expected(error):
         return sentence(error)
     return message(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from bench.base.languages import message
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command, group
 from bench.services.errors import Refused
@@ -53,7 +54,7 @@ def compare(
         if out is None
         else (
             ("result", out / "fleet-compare.json", to_text(result.to_dict())),
-            ("figure", out / "equivalence.svg", equivalence_figure(found)),
+            (message("figure", "heading"), out / "equivalence.svg", equivalence_figure(found)),
         )
     )
     printing.told(result, json, partial(print_benches, result), files)

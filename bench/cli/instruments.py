@@ -182,7 +182,7 @@ def _serve(request: SimulateRequest) -> int:
     if not 0.0 < speed < math.inf:
         raise Refused(f"--speed {speed:g}: give a positive speed such as 1 or 60")
     if port is not None and not 0 <= port <= 65535:
-        raise Refused(f"--port {port}: give a port from 1 to 65535 (0: free ones)")
+        raise Refused(f"--port {port}: give a port from 1 to 65535, or 0 for free ports")
     file = load_bench(bench_path(request.bench))
     with (
         _ended_by_signal() as ended,

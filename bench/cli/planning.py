@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.cli import printing
 from bench.cli.options import JsonOption, OutOption, command
@@ -131,7 +132,7 @@ def _write_page(folder: Path, found: BudgetResult, out: Console) -> None:
     printing.written("page", page, out)
     for figure in figures(found):
         for file in figure.save(folder):
-            printing.written("figure", file, out)
+            printing.written(message("figure", "heading"), file, out)
 
 
 @command("bench require paper --accuracy 3e-4 --estimator closed-form")

@@ -121,9 +121,9 @@ def failed(results: Sequence[object]) -> bool:
     if len(found) > 1 and len({one.problem for one in found}) == 1:
         raise Refused(found[0].problem)  # the cause is not in the sources
     for one in found:
-        print(f"bench: {visible(bounded(str(one)))}", file=sys.stderr)
+        print(f"bench: {visible(bounded(translated(str(one))))}", file=sys.stderr)
     if found:
-        print(f"bench: {len(found)} of {len(results)} sources could not be evaluated", file=sys.stderr)
+        aside(message(f"bench: {len(found)} of {len(results)} sources could not be evaluated"))
     return bool(found)
 
 

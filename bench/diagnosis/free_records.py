@@ -190,8 +190,8 @@ def fit_sensor(signal: Floats) -> Block:
     off = float(np.sqrt(np.mean((np.linalg.norm(block.specific_force(signal), axis=1) - 1.0) ** 2)))
     if not off < max(ERRORS_G):  # errors of sensors cause a tenth of this
         raise CalibrationError(
-            f"even with the best coefficients, {len(signal)} free positions are {off:.2g} g off |a| = 1 g (root "
-            "mean square), which readings at rest never are; leave out readings in motion or of another sensor"
+            f"{len(signal)} free positions deviate from |a| = 1 g by {off:.2g} g (root mean square), too much for "
+            "readings at rest; leave out readings in motion or of another sensor"
         )
     return block
 

@@ -15,7 +15,7 @@ from rich.text import Text
 
 from bench.base.arrays import ARCSEC, CHANNELS, Floats
 from bench.base.files import to_text
-from bench.base.languages import HEADING, translated
+from bench.base.languages import HEADING, message, translated
 from bench.base.numbers import fixed, places, uncertainty
 from bench.base.tables import table
 from bench.base.text import comment, double, visible
@@ -347,10 +347,12 @@ class ExportForm:
 FORMS: Final = {
     "json": ExportForm("JSON", ".json", lambda result, _: to_text(result.to_dict())),
     "csv": ExportForm("CSV", ".csv", lambda result, _: csv_text(result)),
-    "c": ExportForm("C header", ".h", lambda result, _: c_header(result)),
-    "excel": ExportForm("Excel workbook", ".xlsx", lambda result, _: workbook(result)),
+    "c": ExportForm(message("C header"), ".h", lambda result, _: c_header(result)),
+    "excel": ExportForm(message("Excel workbook"), ".xlsx", lambda result, _: workbook(result)),
     "kalibr": ExportForm("Kalibr YAML", "-kalibr.yaml", kalibr_yaml, kalibr_notes),
-    "px4": ExportForm("PX4 parameters", "-px4.params", PX4.text, PX4.notes),
-    "ardupilot": ExportForm("ArduPilot parameters", "-ardupilot.param", ARDUPILOT.text, ARDUPILOT.notes),
+    "px4": ExportForm(message("PX4 parameters"), "-px4.params", PX4.text, PX4.notes),
+    "ardupilot": ExportForm(
+        message("ArduPilot parameters"), "-ardupilot.param", ARDUPILOT.text, ARDUPILOT.notes
+    ),
 }
 """The forms by the names that `--as` takes."""

@@ -10,6 +10,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from bench.base.arrays import Floats, Ints
+from bench.base.languages import message
 from bench.calibration.design import FIXED
 from bench.calibration.noise import LEAST_REPEATS
 from bench.calibration.result import CalibrationError
@@ -226,7 +227,9 @@ class UntilGoal:
     @property
     def name(self) -> str:
         """Name of the goal with the kind of its uncertainty, such as "combined u of Kxy"."""
-        return f"combined u of {self.goal.name}" if self.combined else f"u of {self.goal.name}"
+        if self.combined:
+            return message(f"combined u of {self.goal.name}")
+        return message(f"u of {self.goal.name}")
 
 
 @dataclass(frozen=True)

@@ -199,7 +199,7 @@ class UnitResult(ResultModel):
             out.print(shown)
         print_notes(out, self.notes)
         due = self.due
-        told = message(f"due {due.due}: {due.why}") if due else message(f"no date due: {self.why_not_due}")
+        told = message(f"due on {due.due}: {due.why}") if due else message(f"no date due: {self.why_not_due}")
         out.print(told, style="bold")
 
 
@@ -222,7 +222,9 @@ def _not_shown(count: int, option: str) -> str:
 
 def _shown(column: str, cell: str) -> str | Text:
     """Return a cell for the terminal: a state or verdict in the current language, a name as it is."""
-    return translated(cell) if column in ("state", "verdict", "problem") else Text(local_number(cell))
+    if column == "verdict":
+        return translated(cell, "statement")
+    return translated(cell) if column in ("state", "problem") else Text(local_number(cell))
 
 
 def _cell(value: object) -> str:

@@ -30,8 +30,13 @@ class IssuedRun(ResultModel):
 
     def print_on(self, out: Console) -> None:
         """Print the certificate's number and its files."""
-        said = "issued before as" if self.issued_before else "issued as" if self.number else "draft"
-        out.print(f"{self.run}: {said} {self.number or ''}".rstrip())
+        if not self.number:
+            said = message("a draft")
+        elif self.issued_before:
+            said = message(f"issued before as {self.number}")
+        else:
+            said = message(f"issued as {self.number}")
+        out.print(Text(f"{self.run}: {translated(said)}"))  # the name of a run stays
         for file in self.files:
             out.print(f"  {file}")
 
@@ -129,16 +134,17 @@ class CertificateSays(ResultModel):
         if self.simulated:
             out.print("SIMULATED: it certifies nothing of any real unit")
         for name, text in {
-            "certificate": self.number,
-            "laboratory": self.laboratory,
-            "customer": self.customer,
-            "unit": "; ".join(self.items),
-            "calibrated": " to ".join(dict.fromkeys(self.calibrated)),
-            "issued": self.issued,
-            "authorised by": self.authorised_by,
-            "conformity": self.conformity or "no statement",
+            message("certificate", "heading"): self.number,
+            message("laboratory", "heading"): self.laboratory,
+            message("customer", "heading"): self.customer,
+            message("unit", "heading"): "; ".join(self.items),
+            message("calibrated", "heading"): " to ".join(dict.fromkeys(self.calibrated)),
+            message("issued", "heading"): self.issued,
+            message("authorised by", "heading"): self.authorised_by,
+            message("conformity", "heading"): translated(self.conformity, "statement")
+            or translated(message("no statement")),
         }.items():
-            out.print(f"{name}: {visible(text)}")
+            out.print(Text(f"{translated(name, HEADING)}: {visible(text)}"))  # names stay
         shown = table("coefficient", ">value", ">U", ">k", "")
         for name, one in self.coefficients.items():
             value, U = rounded(one.value, one.U), uncertainty(one.U)

@@ -215,10 +215,10 @@ def _left_out(view: TumbleView) -> Iterator[str]:
             if moved:
                 in_u = view.combined and term in OF_BLOCK
                 unit = _micro(parameter_of(term).unit.replace("ug", "g"))
-                others = ", ".join(f"{name} by {fixed(by, 2, sign=True)}" for name, by in moved.items())
+                others = ", ".join(f"{name} {fixed(by, 2, sign=True)}" for name, by in moved.items())
                 yield message(
                     f"{'not fitted, but included in u,' if in_u else 'assumed zero'} in channel {channel}: "
-                    f"1 {unit} of {term} moves {others}"
+                    f"1 {unit} of {term} changes {others}"
                 )
 
 
@@ -450,7 +450,7 @@ def print_compensation(
 def print_checks(checks: Sequence[tuple[float, Verification]], out: Console) -> None:
     """Print the verdict of the verification at each temperature."""
     for t, check in checks:
-        out.print(verdict_line(f"verification at {t:.1f} °C", check), style="bold")
+        out.print(verdict_line(message(f"verification at {t:.1f} °C"), check), style="bold")
 
 
 def _coefficient_table(model: TemperatureModel) -> Table:

@@ -158,8 +158,9 @@ def _limit_table(found: RequireResult) -> Table:
         ">limits together, equal shares" if equal else ">limits together, by cost",
     )  # fmt: skip
     together = {limit.name: limit.words for limit in found.together}
+    limits = translated(message("limits", "heading"), HEADING)
     for limit in found.alone:
-        form = "limits" if limit.distribution == "rectangular" else f"k = {limit.k:g}"
+        form = limits if limit.distribution == "rectangular" else f"k = {limit.k:g}"
         shown.add_row(
             limit.name, form, limit.now, f"{limit.part or 0:.1%}", limit.words, together.get(limit.name, "")
         )

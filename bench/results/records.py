@@ -150,7 +150,7 @@ class ShowResult(RunPart):
     def print_on(self, run: Run, supply: str, out: Console, *, verified: bool) -> None:
         """Print the manifest, and then the events or, with `verified`, what the record proves."""
         summary = {name: getattr(self, name) for name in RunPart.model_fields if name != "to_go_on"}
-        summary["command to resume"] = self.to_go_on
+        summary[message("command to resume")] = self.to_go_on
         labelled = {**summary, **{_LABELS.get(name, name): value for name, value in run.manifest.items()}}
         labelled["created"] = civil_minute(self.created)
         labelled["operator"] = run.history.progress.operators(labelled.get("operator"))
@@ -253,14 +253,21 @@ class InstrumentsResult(ResultModel):
     def print_on(self, out: Console) -> None:
         """Print a line for each instrument, and how many of them have no fault."""
         shown = table()
-        for heading in ("instrument", "address", "identity", "settings", "self-test", "shows"):
+        for heading in (
+            message("instrument", "heading"),
+            message("address", "heading"),
+            message("identity", "heading"),
+            message("settings", "heading"),
+            message("self-test", "heading"),
+            message("shows", "heading"),
+        ):
             # an address is copied from the table, so it must not be broken
             whole = heading in {"instrument", "address", "self-test"}
-            shown.add_column(heading, overflow="fold", no_wrap=whole)
+            shown.add_column(translated(heading, HEADING), overflow="fold", no_wrap=whole)
         for one in self.instruments:
             tested = one.self_test in ("", "none", "manual", "passed")
             unread = one.identity is not None and bool(one.failures) and not one.shows
-            identity = "NOT OPENED" if one.identity is None else str(one.identity)
+            identity = message("NOT OPENED") if one.identity is None else str(one.identity)
             test, shows = one.self_test if tested else "FAILED", "FAILED" if unread else one.shows
             shown.add_row(one.name, one.address, identity, one.settings, test, shows)
         out.print(shown)

@@ -345,7 +345,9 @@ def _to_pass(result: Verification) -> Iterator[str]:
     at = result.points.index(point)
     parts = {name: math.sqrt(max(part[at, at], 0.0)) for name, part in result.contributions.items()}
     most = sorted(parts, key=lambda name: -parts[name])[:_MOST]
-    of_which = ", ".join(f"{name.replace('_', ' ')} {parts[name] * 1e6:.0f} µg" for name in most)
+    of_which = ", ".join(
+        message(f"{parts[name] * 1e6:.0f} µg from {name.replace('_', ' ')}") for name in most
+    )
     of_which = f": {of_which}" if most else ""
     smaller = (
         message("no reduction of u suffices")

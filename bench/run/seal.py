@@ -20,6 +20,7 @@ from urllib.parse import urlsplit
 
 from bench.base.computing import missing
 from bench.base.files import read_given, read_regular, remedy_for, to_text, write_whole
+from bench.base.languages import message
 from bench.base.text import as_typed
 from bench.run.events import ENDED, EVENTS, MANIFEST, RecordError, sha256
 from bench.run.folder import Run
@@ -270,7 +271,7 @@ def public_key(pem: str, where: str, remedy: str = "restore the seal from a copy
 
 def read_public_key(file: Path) -> Ed25519PublicKey:
     """Return the Ed25519 public key in a file. Raises `RecordError` if there is none."""
-    remedy = "give the .pub file of 'bench key'"
+    remedy = message("give the .pub file of 'bench key'")
     try:
         return public_key(read_regular(file).decode("ascii"), str(file), remedy)
     except OSError as error:
@@ -342,7 +343,9 @@ def check_server(url: str) -> None:
     """Raise `NoTimeStamp` for a text that is not an http or https address."""
     parts = urlsplit(url)
     if parts.scheme not in {"http", "https"} or not parts.hostname:
-        raise NoTimeStamp(f"--timestamp {url}: give the address of a server (http://… or https://…)")
+        raise NoTimeStamp(
+            message(f"--timestamp {url}: give the address of a server, beginning with http or https")
+        )
 
 
 def ask_time_stamp(url: str, message: bytes) -> bytes:

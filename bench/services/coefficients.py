@@ -13,6 +13,7 @@ import numpy as np
 
 from bench.base.arrays import CHANNELS, Floats
 from bench.base.files import from_text, read_given, write_whole
+from bench.base.languages import message
 from bench.base.numbers import read_number
 from bench.base.text import cause_of, shortened
 from bench.calibration.result import NOT_ACCEPTED_P, Component, Noise
@@ -452,7 +453,7 @@ def _read(path: Path) -> Any:
         with refusing("check name and permissions", path, reading=True):
             return from_text(read_given(path).decode())
     except ValueError as error:
-        raise _no_result(str(path), ", but text of another kind") from error
+        raise _no_result(str(path), message(", but text of another kind")) from error
 
 
 def is_result(path: Path) -> bool:

@@ -11,6 +11,7 @@ import numpy as np
 
 from bench.base.arrays import Floats
 from bench.base.files import to_text
+from bench.base.languages import message
 from bench.base.text import listed, repeated
 from bench.calibration.budget.whole import acting_sources, sign
 from bench.calibration.calibrate import calibrate
@@ -129,8 +130,16 @@ class Compensation:
     def files(self) -> Iterator[tuple[str, Path, str]]:
         """Yield description, path and text of each file to write."""
         yield "result", self.source.output("compensate", ".json"), to_text(self.result.to_dict())
-        yield "C header", self.source.output("compensate", ".h"), c_header(self.model, self.table, self.of)
-        yield "table", self.source.output("compensate", ".csv"), table_csv(self.model, self.table, self.of)
+        yield (
+            message("C header"),
+            self.source.output("compensate", ".h"),
+            c_header(self.model, self.table, self.of),
+        )
+        yield (
+            message("table", "heading"),
+            self.source.output("compensate", ".csv"),
+            table_csv(self.model, self.table, self.of),
+        )
 
 
 def _accepted(

@@ -241,7 +241,7 @@ def _basis(found: Conclusion) -> Iterator[str]:
     if found.verification is None:
         return
     if found.calibration is not None and not found.calibration.accepted:
-        yield outcome_in_words("verification points", found.verification.verification)
+        yield outcome_in_words(message("verification points"), found.verification.verification)
     yield basis_in_words(found.verification.verification)
     if not found.verification.passed:
         yield from found.verification.sentences[:_MOST_SENTENCES]

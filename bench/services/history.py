@@ -428,7 +428,7 @@ class ComparisonResult:
     def files(self, folder: Path) -> Files:
         """Yield the files that `bench compare --out` writes into a folder."""
         yield "result", folder / "compare.json", to_text(self.result.to_dict())
-        yield "figure", folder / "compare.svg", history_figure(self.found)
+        yield message("figure", "heading"), folder / "compare.svg", history_figure(self.found)
 
 
 def compared(request: asked.Compare) -> ComparisonResult:

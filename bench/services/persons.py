@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Final
 
 from bench.base.files import read_regular
+from bench.base.languages import message
 from bench.base.text import as_typed, visible
 from bench.results.registers import PersonChange, PersonPart, PersonsResult
 from bench.run.events import OperatorPerson, RecordError
@@ -200,7 +201,9 @@ def resumer(where: str, name: str) -> WishAuthor:
 
 def persons(request: ChangePersons) -> PersonsResult:
     """Carry out the requested change of the register, if any; return the register. Raises `Refused`."""
-    laboratory = laboratory_needed(request.laboratory, "the register of persons is a folder beside it")
+    laboratory = laboratory_needed(
+        request.laboratory, message("the register of persons is a folder beside it")
+    )
     if request.what is None:
         return _listed(persons_of(laboratory) or Persons.beside(laboratory))
     needed = {"NAME": request.name, "--by NAME": request.by}
@@ -218,7 +221,7 @@ def persons(request: ChangePersons) -> PersonsResult:
             entry.kind == ENDED or Right.ADMINISTER not in entry.data["may"]
         ):
             remedy = (
-                "first give another person this right"
+                message("first give another person this right")
                 if entry.kind == ENDED
                 else f"give --may {','.join(sorted({*entry.data['may'], Right.ADMINISTER}))}"
             )
@@ -232,11 +235,14 @@ def _entry(register: Persons, request: ChangePersons, name: str, by: str, token:
     before = register.everyone.get(name)
     present = before is not None and not before.ended
     if present == (request.what is PersonsCommand.ADD):
-        where = f"a person in {register.folder}"
         if present:
-            raise Refused(f"{name}: already {where}; use 'bench persons change'")
-        way = "'bench persons' lists all" if request.what is PersonsCommand.END else "use 'bench persons add'"
-        raise Refused(f"{name}: not {where}; {way}")
+            raise Refused(f"{name}: is in the register {register.folder} already; use 'bench persons change'")
+        way = (
+            message("'bench persons' lists all")
+            if request.what is PersonsCommand.END
+            else "use 'bench persons add'"
+        )
+        raise Refused(f"{name}: is not in the register {register.folder}; {way}")
     now, why = civil_now(), {"reason": request.reason or ""}
     if request.what is PersonsCommand.END:
         return Entry(ENDED, name, now, by, why)

@@ -122,7 +122,7 @@ def _refuse_contradictions(request: PlanPoints) -> None:
     if request.least not in {"time", "settings"}:
         raise Refused(f"--least {request.least}: choose from time, settings")
     if not 3 <= request.angles <= MOST_ANGLES:
-        raise Refused(f"--angles {request.angles}: give 3 to {MOST_ANGLES} angles a turn")
+        raise Refused(f"--angles {request.angles}: give a number of angles from 3 to {MOST_ANGLES}")
     out = request.out
     if out is not None and out.exists():
         raise Refused(f"--out {out}: this file exists and was not overwritten; choose another name")

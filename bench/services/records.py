@@ -153,9 +153,10 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
             told.append(message("the head equals the given one: no line was changed, removed or added since"))
         else:
             problems.append(
-                "--head: the hash of the record's last line differs from the given one; check that the given "
-                "hash is of this run; if it is, lines were changed, removed or added since: restore the run "
-                "from a copy"
+                message(
+                    "--head: the hash of the record's last line differs from the given one; check the name of the "
+                    "run, then restore the run from a copy"
+                )
             )
     try:
         seal = seals.read_seal(run.folder)
@@ -163,7 +164,9 @@ def proof_of(run: Run, request: ShowRun) -> tuple[list[str], list[str]]:
             told.append(message("the run has no seal"))
             if key is not None or authority is not None:
                 problems.append(
-                    "the run has no seal that --key or --authority could check; make one with 'bench seal RUN'"
+                    message(
+                        "the run has no seal for --key or --authority to check; make one with 'bench seal RUN'"
+                    )
                 )
         else:
             outside |= _signature(seal, given, told, problems)
@@ -188,11 +191,11 @@ def _signature(
             )
         )
         if given is not None:
-            problems.append("the seal has no signature that the key could check; remove --key")
+            problems.append(message("the seal has no signature for --key to check; remove --key"))
         return False
     key = seals.public_key(seal.public_key, "the seal")
     if not seals.is_signed(key, seal.signature, seal.signed_bytes):
-        problems.append("the signature does not belong to this seal; restore the seal from a copy")
+        problems.append(message("the signature does not belong to this seal; restore the seal from a copy"))
         return False
     name = seals.fingerprint(key)
     if given is None:
@@ -203,7 +206,9 @@ def _signature(
         )
         return False
     if seals.fingerprint(given) != name:
-        problems.append(f"the seal is signed with another key than the given one; give the key {name}")
+        problems.append(
+            message(f"the seal is signed with another key than the given one; give the key {name}")
+        )
         return False
     told.append(
         message(
@@ -220,7 +225,9 @@ def _time_stamp(seal: seals.Seal, authority: Path | None, told: list[str], probl
             message(f"no time stamp: only the computer's clock states that it was sealed at {seal.sealed}")
         )
         if authority is not None:
-            problems.append("the seal has no time stamp that the authority could confirm; remove --authority")
+            problems.append(
+                message("the seal has no time stamp for --authority to check; remove --authority")
+            )
         return False
     try:
         stamp = seals.read_time_stamp(seal.time_stamp, seal.stamped_bytes, authority)

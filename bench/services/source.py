@@ -471,7 +471,7 @@ def _of_model_file(
         )
     if not _knows(file.data_sha256, readings):
         return model, dark
-    note = (
+    note = message(
         f"model {file.name} was found in these same readings: its values are estimated again, not used as "
         "prior values"
     )

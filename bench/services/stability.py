@@ -13,6 +13,7 @@ from rich.console import Console
 
 from bench.base.arrays import CHANNELS
 from bench.base.files import to_text, write_whole
+from bench.base.languages import message
 from bench.base.tables import as_text
 from bench.calibration.budget.sources import meter_gain_sources, unread_sources
 from bench.calibration.result import CalibrationError
@@ -163,7 +164,7 @@ class RecordAtRest:
         else:
             stem = out / f"{self.run.name}-stability" if out else self.run.folder / "stability"
         yield "result", stem.with_name(f"{stem.name}.json"), to_text(self.result.to_dict())
-        yield "figure", stem.with_name(f"{stem.name}.svg"), allan_figure(self.found)
+        yield message("figure", "heading"), stem.with_name(f"{stem.name}.svg"), allan_figure(self.found)
 
 
 def at_rest(request: asked.Stability) -> RecordAtRest:

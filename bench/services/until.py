@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from bench.base.languages import message
 from bench.base.units import ACCELERATION, DURATION, SCALE_FACTOR, VOLTAGE
 from bench.base.yaml_files import FileMistakes
 from bench.calibration.budget.sources import assumed_stand
@@ -173,17 +174,17 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     worst = max(found, key=lambda floor: floor.u / floor.wanted.goal.asked)
     unit = worst.wanted.goal.unit
     parts = ", ".join(
-        f"{name.replace('_', ' ')} {size_in_words(u, unit)}" for name, u in worst.parts[:_PARTS_TOLD]
+        message(f"{size_in_words(u, unit)} from {name.replace('_', ' ')}")
+        for name, u in worst.parts[:_PARTS_TOLD]
     )
     others = list(dict.fromkeys(f.wanted.name for f in found if f.wanted.name != worst.wanted.name))
     least, asked = size_in_words(worst.u, unit), size_in_words(worst.wanted.goal.asked, unit)
     raise Refused(
-        f"--until: no number of readings at these points lowers the {worst.wanted.name} below {least}, but "
-        f"{asked} is asked for; its main causes: {parts}; nor the {', '.join(others)}; relax the goal, "
-        "or reduce these errors"
+        f"--until: readings at these points cannot lower the {worst.wanted.name} to {asked}, only to {least} "
+        f"({parts}), and miss the goal of {', '.join(others)}, too; relax the goals, or reduce these errors"
         if others
-        else f"--until: no number of readings at these points lowers the {worst.wanted.name} below {least}, but "
-        f"{asked} is asked for; its main causes: {parts}; relax the goal, or reduce these errors"
+        else f"--until: readings at these points cannot lower the {worst.wanted.name} to {asked}, only to {least} "
+        f"({parts}); relax the goal, or reduce these errors"
     )
 
 

@@ -228,8 +228,8 @@ def _refuse(laboratory: Path | None, by: str, bench: Path | None, own: str | Non
     )
     if laboratory is None:
         raise Refused(
-            f"{by} demands a validated program (require_validation), and no laboratory file says where validations "
-            f"are registered; set {LABORATORY} to it; if no validation was accepted there yet: {way}"
+            f"{by} demands a validated program (require_validation), but no laboratory file is named; set "
+            f"{LABORATORY} to the file, and if no validation was accepted yet: {way}"
         )
     register = Validations.beside(laboratory).read_lines()
     digest = None if bench is None else sha256_of_file(bench)

@@ -12,6 +12,7 @@ import numpy as np
 from rich.console import Console
 
 from bench.base.arrays import Floats
+from bench.base.languages import message
 from bench.base.tables import as_html, as_text
 from bench.calibration import Calibration, CalibrationError, LackOfFit
 from bench.calibration.budget.sources import hidden_sources
@@ -75,7 +76,7 @@ class VerdictOptions:
         """Raise `Refused` with all invalid values among limit, rule, guard band and population."""
         mistakes = []
         if self.limit_g is not None and not (math.isfinite(self.limit_g) and self.limit_g > 0):
-            mistakes.append(f"--limit {self.limit_g}: give a positive limit in g, such as 3e-4")
+            mistakes.append(message(f"--limit {self.limit_g}: give a positive limit in g, such as 3e-4"))
         try:
             DecisionRule.of(self.rule, self.guard_band)
         except CalibrationError as mistake:
@@ -327,17 +328,19 @@ def _of_another_day(taken: Coefficients, source: Source) -> tuple[Floats, tuple[
         )  # fmt: skip
         joint = weight * found if same else joint + weight * found
     if taken.same_meters is None:
-        said = "the coefficients' uncertainty, from an earlier version, covers its readings alone"
+        said = message(
+            "the coefficients are from an earlier version: their uncertainty covers the readings alone"
+        )
     elif source.readings.unit != VOLTS:
         said = ""  # no meters of the bench read these signals
     elif part == 0.0:
-        said = "the same meters as at the calibration, on one day: their gain and offset cancel"
+        said = message("the same meters as at the calibration, on one day: their gain and offset cancel")
     elif part < 1.0:
-        said = (
+        said = message(
             f"the same meters as at the calibration: {part:.0%} of their limits is included, for their drift"
         )
     else:
-        said = "perhaps other meters than at the calibration: u includes gain and offset of both"
+        said = message("perhaps other meters than at the calibration: u includes gain and offset of both")
     if taken.g_m_s2 != source.g_m_s2:
         there = {error.name: error.u for error in hidden_sources(source.bench, source.model)}.get(
             "gravity", 0.0

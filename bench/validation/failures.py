@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Final
 
+from bench.base.languages import message
 from bench.base.text import visible
 from bench.certificate.laboratory import load_laboratory
 from bench.results.registers import Failure, FailuresResult, NotedRemedy, ValidationResult
@@ -66,7 +67,9 @@ def failures(request: Failures) -> FailuresResult:
     Raises `Refused` without a laboratory file, for an unknown number, and for a remedy without text or without a
     person.
     """
-    laboratory = laboratory_needed(request.laboratory, "the register of failures is a folder beside it")
+    laboratory = laboratory_needed(
+        request.laboratory, message("the register of failures is a folder beside it")
+    )
     with opened(FailureRegister.beside(laboratory)) as register:
         new = 0
         known = register.keys()

@@ -291,3 +291,44 @@ def test_a_name_before_a_colon_stays_unless_it_is_an_instrument():
 def test_the_bias_by_is_no_word():
     with speaking("uk"):
         assert translated("bx +19.1 u, by +17.3 u") == "bx +19,1 u, by +17,3 u"
+
+
+@pytest.mark.parametrize(
+    "english",
+    [
+        "repeats (SIMULATED): MEASURED; no calibration from it: 8 readings do not determine Kxy: the acceleration "
+        "along y hardly changes; add the other installation or further angles to the procedure",
+        "first (SIMULATED): NOT ACCEPTED: worst |Δg| = 96.3 µg ± 183.6 µg (U, k = 2), limit 300 µg",
+        "verification points: NOT ACCEPTED: worst |Δg| = 96.3 µg ± 183.6 µg (U, k = 2), limit 300 µg",
+        "run repeats starts on simulated instruments: repeatability, 131 steps, recorded in runs/repeats",
+        "rule: guarded (w = 0.5 U), TUR 0.0051",
+        "up to 14.2 µV for 10 µV",
+        "x standard deviation",
+        "at most 0.41 s, a tenth of a reading",
+        "enough: combined u of Kxy is 37.7 µV/g, goal 100 µV/g",
+        "No such option: --oops; did you mean --out? See 'bench run --help-all'",
+        "assumed zero in channel x: 1 µg of K0p changes K0 +0.07, K1 +2.08",
+        "step 4: the procedure levels the platform, but the bench file has no level; add one under instruments, or "
+        "remove 'level' in a copy of the procedure",
+    ],
+)
+def test_results_and_refusals_hold_no_english_beside_names(english):
+    told = catalogue("uk").translate(english)
+    assert told != english
+    kept = {"first", "repeats", "repeatability", "runs", "bench", "run", "help", "all"}
+    kept |= {"out", "oops", "level", "instruments"}
+    assert set(re.findall(r"[a-z]{3,}", told)) <= kept | {"alpha"}
+
+
+def test_the_name_of_a_run_stays_in_a_sentence_on_the_run():
+    told = catalogue("uk").translate(
+        "run repeats starts on simulated instruments: quick, 4 steps, recorded in r"
+    )
+    assert told.startswith("сеанс repeats ")
+
+
+def test_the_verdict_of_a_catalogued_run_is_no_round_through_the_points():
+    from bench.results.catalogue import _shown
+
+    with speaking("uk"):
+        assert _shown("verdict", "pass") == "відповідає"

@@ -105,7 +105,7 @@ def test_a_signed_seal_says_by_whom(bench, run, key, attack):
     (run / "seal.json").unlink()
     assert bench("seal", "one")[0] == (0 if attack is chain_anew else 2)  # its end is missing: it goes on
     out = printed(bench("show", "one", "--key", f"{key}.pub"), status=1)
-    assert "no signature that the key could check" in out or "no seal that --key" in out
+    assert "no signature for --key to check" in out or "no seal for --key" in out
 
 
 def test_another_key_and_a_changed_seal_are_told(bench, run, key):

@@ -199,7 +199,7 @@ def test_twelve_points_separate_and_say_how_little(bench, turns):
     out = bench("tumble", "turn-12.csv", "--strict")[1]
     assert out.count("7 of 7 terms are determined") == 3
     assert out.count("are correlated (r = -0.99") == 3
-    assert "assumed zero in channel x: 1 µg/g² of Kpp moves K0 by +0.50" in out
+    assert "assumed zero in channel x: 1 µg/g² of Kpp changes K0 +0.50" in out
     assert "u, readings" in out
 
 
@@ -207,8 +207,8 @@ def test_terms_that_are_left_out_show_as_lack_of_fit(bench, turns):
     status, out, _ = bench("tumble", "turn-12.csv", "--terms", "K3,Koq", "--strict")
     assert status == 1
     # a prior of K2 is in the uncertainty, one of Kpp is not
-    assert "not fitted, but included in u, in channel x: 1 µg/g² of K2 moves" in out
-    assert "assumed zero in channel x: 1 µg/g² of Kpp moves" in out
+    assert "not fitted, but included in u, in channel x: 1 µg/g² of K2 changes" in out
+    assert "assumed zero in channel x: 1 µg/g² of Kpp changes" in out
 
 
 def test_points_of_a_centrifuge_join_and_python_gives_the_same(bench, turns):

@@ -57,9 +57,9 @@ def test_each_change_is_in_the_chain_and_no_secret_is(laboratory):
 @pytest.mark.parametrize(
     ("what", "name", "more", "said"),
     [
-        ("add", "A. Example", {}, "already a person in"),
-        ("change", "C. Example", {}, "not a person in .*; use 'bench persons add'"),
-        ("end", "C. Example", {"reason": "left"}, "not a person in .*; 'bench persons' lists all"),
+        ("add", "A. Example", {}, "is in the register .* already"),
+        ("change", "C. Example", {}, "is not in the register .*; use 'bench persons add'"),
+        ("end", "C. Example", {"reason": "left"}, "is not in the register .*; 'bench persons' lists all"),
         ("end", "A. Example", {"reason": "left"}, "first give another person this right"),
         ("end", "A. Example", {}, "needs reason TEXT"),
         ("change", "A. Example", {"may": "operate"}, "nobody would be left .*; give may administer,operate"),

@@ -166,10 +166,12 @@ def _why_not_valid(path: Path, root: Node) -> tuple[str, ...]:
     if status is None or status.state == ISSUED:
         return ()
     if status.state == REVOKED:
-        remedy = f"revoked ({status.by}): do not use it"
-    else:
-        remedy = f"{status.state} by {status.by}: use that certificate"
-    return (f"the register in {place} has {number} as {remedy}",)
+        return (message(f"the register in {place} has {number} as revoked ({status.by}): do not use it"),)
+    return (
+        message(
+            f"the register in {place} has {number} as {status.state} by {status.by}: use that certificate"
+        ),
+    )
 
 
 def _attached(path: Path, paper: bytes) -> bytes:
@@ -295,8 +297,7 @@ def _others(
     wanting += [] if noise_v is not None else ["--noise, the noise of a reading (V), which a check needs"]
     if g_m_s2 is None or noise_v is None:
         raise Refused(
-            f"{path}: the certificate, of another program, does not state everything; give "
-            f"{' and '.join(wanting)}"
+            f"{path}: the certificate is of another program and lacks data; give {' and '.join(wanting)}"
         )
     dimensions = [listed.dimensions[i] for i in order]
     kinds = set(dimensions[:9])

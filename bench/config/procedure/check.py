@@ -104,13 +104,13 @@ def _level_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     if first is None:
         return
     if bench.instruments.level is None:
-        yield (
+        yield message(
             f"step {first.key}: the procedure levels the platform, but the bench file has no level; add "
             "one under instruments, or remove 'level' in a copy of the procedure"
         )
     low_rad, high_rad = bench.head_limits_rad or (-bench.head_backoff_rad, 0.0)
     if low_rad > -bench.head_backoff_rad + ROUNDING_RAD or high_rad < -ROUNDING_RAD:
-        yield (
+        yield message(
             f"step {first.key}: the level is read with the head at 0°, approached with rising angle, but "
             f"the limits of the head are {np.degrees(low_rad):g}° to {np.degrees(high_rad):g}°"
         )
@@ -122,7 +122,7 @@ def _scan_problems(plan: Plan, bench: BenchFile) -> Iterator[str]:
     for scan, key in reversed(scans.items()):
         order = read_order(in_scan_order(bench.instruments.voltmeters, scan))
         if order != scan:
-            yield (
+            yield message(
                 f"step {key}: the procedure reads the channels in the order {scan}, but this bench's "
                 "multiplexer can only use "
                 f"{order} alone; remove 'scans' in a copy of the procedure"

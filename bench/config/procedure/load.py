@@ -129,7 +129,7 @@ class _Tree:
         self._checked: set[tuple[Path, frozenset[str]]] = set()
         self._root = load_document(path, MOST_BYTES) if content is None else document_of(path, content)
         if not (isinstance(self._root.data, dict) and {"procedure", "steps"} & set(self._root.data)):
-            text = "this is not a procedure: 'procedure' and 'steps' are missing"
+            text = message("this is not a procedure: 'procedure' and 'steps' are missing")
             raise FileMistakes(path, [FileMistake(0, "", text)])
         self._read(self._root, ProcedureFile, ())
         self._check_scopes(self._root, part(self._root.data, "steps"), ("steps",), frozenset())
@@ -183,7 +183,7 @@ class _Tree:
         except FileMistakes as error:
             return self._unreadable(path, error.mistakes[0])
         if not (isinstance(included.data, dict) and "steps" in included.data):
-            return f"{path}: this is not a procedure: 'steps' is missing"
+            return message(f"{path}: this is not a procedure: 'steps' is missing")
         self._read(included, IncludedFile, chain)
         return ""
 

@@ -38,11 +38,11 @@ const _ = (() => {
   };
   const named = (name) => (INSTRUMENTS.has(name) ? say(name) : name);  // the name of a run stays
   const known = (text) => (exact.has(text) ? fill(exact.get(text), {}) : null);
-  const copied = (text, surely = true, clauses = false) => {
+  const copied = (text, surely = true, single = undefined) => {
     for (const { names, typed, pattern, forms, sure, first } of filled) {
       if ((sure >= told.sure) !== surely) continue;
       const found = pattern.exec(text);
-      if (found && !clauses && first && found.slice(1).some((value) => CLAUSE.test(value))) continue;
+      if (found && first && found.slice(1).slice(0, single).some((value) => CLAUSE.test(value))) continue;
       if (!found || (!surely && found.slice(1).some((value) => value.length > told.short || foreign(value)))) continue;
       return fill(forms, Object.fromEntries(names.map((name, at) => [name, typed.has(name) ? found[at + 1] : say(found[at + 1])])));
     }
@@ -108,7 +108,7 @@ const _ = (() => {
       const whole = parts.every(settled) ? parts.map(part).join(joint) : text;
       if (whole !== text) return whole;
     }
-    return copied(text, true, true) || part(text);
+    return copied(text, true, 1) || copied(text, true, 0) || part(text);
   };
   return say;
 })();

@@ -85,8 +85,8 @@ def _pulled(evening: CommissioningSession, cable: Cable, first: Instrument) -> F
     most_s = TRIES * 2.0 * evening.timeout_s(name)
     back_s, still = _wait_until_back(evening, [_look(evening, one) for one in cable.instruments])
     figures = (
-        Figure("loss reported after", told_s, "s", f"at most {most_s:.3g} s"),
-        Figure("answers again after", back_s, "s", f"at most {PATIENCE_S:g} s"),
+        Figure("loss reported after", told_s, "s", message(f"at most {most_s:.3g} s")),
+        Figure("answers again after", back_s, "s", message(f"at most {PATIENCE_S:g} s")),
     )
     if still is not None:
         said = f"did not respond again after its cable was plugged in ({still.cause})"

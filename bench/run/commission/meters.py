@@ -186,9 +186,9 @@ def _started_together(evening: CommissioningSession, meters: Sequence[Voltmeter]
     most_s = START_PART * (expected_s or took_s)
     names = " ".join(meter.name for meter in meters)
     figures = (
-        Figure("starts within", starts_s, "s", f"at most {most_s:.2g} s, a tenth of a reading"),
+        Figure("starts within", starts_s, "s", message(f"at most {most_s:.2g} s, a tenth of a reading")),
         Figure("readings came within", ends_s, "s"),
-        Figure("the set took", took_s, "s", f"one reading {expected_s:.3g} s" if expected_s else ""),
+        Figure("the set took", took_s, "s", message(f"one reading {expected_s:.3g} s") if expected_s else ""),
     )
     if len(meters) == 1:
         channels = " ".join(meters[0].channels)
@@ -338,8 +338,12 @@ def _of_channel(
     most_s_v = largest_scatter_v(sigma_v, n)
     held = f"±{_volts(limit_v)} in 90 days by the data sheet, ±{_volts(stated_v)} by the bench file"
     figures = [
-        _figure(f"{channel} mean", mean_v, held),
-        _figure(f"{channel} standard deviation", s_v, f"up to {_volts(most_s_v)} for {_volts(sigma_v)}"),
+        _figure(message(f"{channel} mean"), mean_v, held),
+        _figure(
+            message(f"{channel} standard deviation"),
+            s_v,
+            message(f"up to {_volts(most_s_v)} for {_volts(sigma_v)}"),
+        ),
     ]
     wrong = []
     if abs(mean_v) > most_mean_v:
