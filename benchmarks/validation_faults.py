@@ -289,10 +289,10 @@ ARITHMETIC: Final = (
 )  # fmt: skip
 
 INSTRUMENTS: Final = (
-    edit("sign of a reading", "simulated bench|voltmeter", "records", f"{SCPI}.fetch", "float(text) for",
-         "-float(text) for"),
+    edit("sign of a reading", "simulated bench|voltmeter", "records", f"{SCPI}.fetch", "map(float, texts)",
+         "(-float(text) for text in texts)"),
     edit("gain of a reading off by 0.1 %", "simulated bench|voltmeter", "records", f"{SCPI}.fetch",
-         "float(text) for", "1.001 * float(text) for"),
+         "map(float, texts)", "(1.001 * float(text) for text in texts)"),
     edit("another instrument accepted", "voltmeter", WIRE, f"{SCPI}._accept", "identity.model in self.models and",
          "True or"),
     edit("settings not read back", "voltmeter", WIRE, f"{SCPI}._set",

@@ -365,7 +365,8 @@ class ScpiVoltmeter(ABC):
 
     def _refuse_lost_digits(self, texts: list[str]) -> None:
         """Raise `BadReading` if readings differ in length: then a serial port has lost a digit of one of them."""
-        shortest, longest = min(texts, key=len), max(texts, key=len)
+        digits = [text.lstrip("+-") for text in texts]
+        shortest, longest = min(digits, key=len), max(digits, key=len)
         if len(shortest) < len(longest):
             raise BadReading(
                 self.name,

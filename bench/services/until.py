@@ -181,7 +181,8 @@ def _refuse_below_floor(found: Sequence[Floor]) -> None:
     least, asked = size_in_words(worst.u, unit), size_in_words(worst.wanted.goal.asked, unit)
     raise Refused(
         f"--until: readings at these points cannot lower the {worst.wanted.name} to {asked}, only to {least} "
-        f"({parts}), and miss the goal of {', '.join(others)}, too; relax the goals, or reduce these errors"
+        f"({parts}); the {', '.join(others)} cannot reach their goals either; relax the goals, or reduce "
+        "these errors"
         if others
         else f"--until: readings at these points cannot lower the {worst.wanted.name} to {asked}, only to {least} "
         f"({parts}); relax the goal, or reduce these errors"

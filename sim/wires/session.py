@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _SETTLE_LOOKS: Final = 2000
 _SETTLE_LOOK_S: Final = 0.001
-_EARLIER_LOOKS: Final = 200
+_EARLIER_LOOKS: Final = 20
 
 
 class Doing(Enum):
@@ -74,7 +74,7 @@ class Traffic:
         return any(session.has_work() for session in others)
 
     def wait_for(self, earlier: Collection[Session]) -> None:
-        """Wait until none of these sessions has work, or one is busy with a long command."""
+        """Wait, for some hundredths of a second at most, until none of these sessions has work."""
         for _ in range(_EARLIER_LOOKS):
             with self._changed:
                 if not any(session.has_work() for session in earlier):

@@ -311,7 +311,7 @@ REFUSED = (
     ("plan-points --time 1h", "1 h are too short for a calibration: the shortest takes"),
     ("plan-points --u all=1e-4 --installations 1", "no choice of these installations determines"),
     ("plan-points --u all=1e-4 --installations 1,9", "has no installation 9 for a calibration"),
-    ("plan-points --u all=1e-4 --angles 2", "--angles 2: give 3 to 72"),
+    ("plan-points --u all=1e-4 --angles 2", "--angles 2: give a number of angles from 3 to 72"),
     ("plan-points --u all=1e-4 --least effort", "--least effort: choose from time, settings"),
     ("plan-points --u all=1e-4 --up-to 5", "--up-to needs --modulus"),
     ("plan-points --u all=1e-4 --out nowhere/p.yaml", "no such folder; create it or name another"),

@@ -76,7 +76,7 @@ suspended laptop, or computer's clock set by somebody
     run/test_watches.py test_a_clock_that_is_set_by_little_is_none
 full disk
     run/test_runner.py test_a_full_disk_stops_the_run_with_the_bench_closed
-    run/test_record.py test_a_full_disk_loses_nothing_and_says_so
+    run/test_record.py test_a_disk_that_takes_nothing_more_loses_nothing_and_says_so
 second program on the bench
     drivers/wire/test_holding.py test_who_holds_it_is_named_and_what_a_killed_program_held_is_free
     cli/test_instruments.py test_instruments_that_another_program_holds_are_refused_with_its_name

@@ -160,7 +160,8 @@ class Hysteresis(BlockEffect):
     parameters = (
         Parameter("size", "ug", 1e-6, plausible=20e-6, per_channel=True),
         Parameter(
-            "width_g", "g", 1.0, plausible=0.25, per_channel=False, grid=(0.0, 0.1, 0.16, 0.25, 0.35, 0.5, 0.63, 0.8), default=0.0
+            "width_g", "g", 1.0, plausible=0.25, per_channel=False,
+            grid=(0.0, 0.1, 0.16, 0.25, 0.35, 0.5, 0.63, 0.8), default=0.0,
         ),
         Parameter("start", "ug", 1e-6, plausible=20e-6, per_channel=True, start_of="size"),
     )  # fmt: skip
