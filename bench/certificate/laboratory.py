@@ -125,15 +125,16 @@ class Printed(FileModel):
     @model_validator(mode="before")
     @classmethod
     def _without_spaces(cls, data: Any, info: ValidationInfo) -> Any:
-        return data if info.context == _AS_ISSUED else _stripped(data)
+        return _stripped(data, spaces_alone=info.context == _AS_ISSUED)
 
 
-def _stripped(data: Any) -> Any:
+def _stripped(data: Any, *, spaces_alone: bool) -> Any:
+    """Return data without spaces around their texts; texts of `spaces_alone` stay, or become empty."""
     if isinstance(data, dict):
-        return {name: _stripped(value) for name, value in data.items()}
+        return {name: _stripped(value, spaces_alone=spaces_alone) for name, value in data.items()}
     if isinstance(data, list | tuple):
-        return [_stripped(value) for value in data]
-    return data.strip() if isinstance(data, str) else data
+        return [_stripped(value, spaces_alone=spaces_alone) for value in data]
+    return (data.strip() or data * spaces_alone) if isinstance(data, str) else data
 
 
 class Address(Printed):

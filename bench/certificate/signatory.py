@@ -183,7 +183,7 @@ def _unfit(own: Certificate) -> Iterator[tuple[str, str]]:
     public = own.public_key()
     least = _LEAST_RSA_BITS if isinstance(public, rsa.RSAPublicKey) else _LEAST_CURVE_BITS
     if (bits := getattr(public, "key_size", least)) < least:
-        yield f"its key has {bits} bits", f"use a key of {least} bits or more"
+        yield f"its key has {bits} bits, fewer than {least}", "use a longer key"
     try:
         usage = own.extensions.get_extension_for_class(x509.KeyUsage).value
     except (x509.ExtensionNotFound, ValueError):

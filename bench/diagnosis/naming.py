@@ -85,14 +85,15 @@ class Scored:
     """The scores of all families in one data set, if the known columns are in the model.
 
     `left` are the data after the known columns are subtracted. `evidence` maps families to ln of the Bayes factor,
-    `log_odds` to ln of the Bayes factor times the prior; `total` is ln of the sum of the odds. `ratio` is the index
-    of the most probable noise ratio.
+    `separate` to ln of the Bayes factor times the prior, `log_odds` to the same with forms counted as the likeliest
+    effect; `total` is ln of the sum of the odds. `ratio` is the index of the most probable noise ratio.
     """
 
     search: Search
     left: Data
     scores: Scores
     evidence: Mapping[str, float]
+    separate: Mapping[str, float]
     log_odds: Mapping[str, float]
     total: float
     ratio: int
@@ -115,12 +116,14 @@ class Scored:
         scores = _with_tied_starts(search, left, search.score(data))
         families = scores.families(candidates)[:, 0]
         log_odds = families + candidates.log_prior
+        separate = dict(zip(candidates.families, log_odds.tolist(), strict=True))
         scored = cls(
             search,
             left,
             scores,
             dict(zip(candidates.families, families.tolist(), strict=True)),
-            dict(zip(candidates.families, log_odds.tolist(), strict=True)),
+            separate,
+            separate,
             float(logsumexp(log_odds)),
             int(np.argmax(scores.ratio[:, 0])),
         )
@@ -131,7 +134,7 @@ class Scored:
 
         The effect leaves less than `ALIAS` of their fitted signatures, so that they are no other explanation.
         """
-        candidates, odds = self.search.whitened.candidates, dict(self.log_odds)
+        candidates, odds = self.search.whitened.candidates, dict(self.separate)
         best = max((family for family in odds if family in CATALOGUE), key=odds.__getitem__, default=None)
         if best is None:
             return odds
@@ -159,8 +162,14 @@ class Scored:
 
     def best(self, among: Among | None = None) -> FoundEffect:
         """Return the family with the largest posterior odds, of those permitted by `among`, as an effect found."""
-        families = [f for f in self.log_odds if among is None or among(f)]
-        return self.found(max(families, key=lambda family: self.log_odds[family]))
+        odds = self.permitted(among)
+        return self.found(max(odds, key=odds.__getitem__))
+
+    def permitted(self, among: Among | None) -> dict[str, float]:
+        """Return the log odds of the permitted families; forms count as an effect only if effects are permitted."""
+        permitted = [family for family in self.log_odds if among is None or among(family)]
+        odds = self.log_odds if any(family in CATALOGUE for family in permitted) else self.separate
+        return {family: odds[family] for family in permitted}
 
     def found(self, family: str) -> FoundEffect:
         """Return a family as an effect found, in its most probable form.
@@ -363,7 +372,7 @@ def needed(
 def in_place(scored: Scored, one: FoundEffect, among: Among | None = None) -> FoundEffect:
     """Return an effect found with the odds of all families permitted by `among` that could be in its place."""
     family, evidence, plain = one.variant.family, scored.evidence, one.variant.plain
-    odds = ranked_odds({f: log for f, log in scored.log_odds.items() if among is None or among(f)})
+    odds = ranked_odds(scored.permitted(among))
     ranked, likely = [one.name for one in odds], holding(odds)
     explained = scored.explained(plain)
     aliases = _aliases(scored, plain, explained - ALIAS**2) if explained > (2 * ALIAS) ** 2 else {}

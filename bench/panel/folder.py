@@ -200,10 +200,11 @@ class RunsTable:
 
     def read_the_rest(self) -> threading.Thread:
         """Return the thread that reads the runs for which `rows` had no time; start it if it does not run."""
-        if not self._rest.is_alive():
-            self._rest = threading.Thread(target=self.read_all, daemon=True)
-            self._rest.start()
-        return self._rest
+        rest = self._rest
+        if not rest.is_alive():
+            self._rest = rest = threading.Thread(target=self.read_all, daemon=True)
+            rest.start()  # not the thread of another page that is asked for at this moment
+        return rest
 
     def _read(self, run: Run, stamp: Stamp, *, wait: bool) -> RunRow:
         """Return the row of a run, read from its record.

@@ -248,7 +248,8 @@ class Tail:
             if isinstance(error, FileNotFoundError) and not self._read:
                 return
             raise RecordError(
-                f"{self._path}: cannot be read ({error.strerror}); check its permissions"
+                f"{self._path}: cannot be read ({error.strerror}); check its permissions, or restore it from a "
+                "copy of the run"
             ) from error
 
     def _event(self, line: bytes) -> Event:

@@ -84,11 +84,20 @@ def test_a_certificate_is_made_again_by_the_rules_of_its_day(bench, desk, monkey
     unit = {**ORDER["units"][0], "condition": " "}
     with monkeypatch.context() as then:
         then.setattr("bench.certificate.laboratory._FIXED", frozenset())
-        then.setattr("bench.certificate.laboratory._stripped", lambda data: data)
+        then.setattr("bench.certificate.laboratory._stripped", lambda data, **_: data)
         write_files(Path(), {"texts": own}, {**ORDER, "units": [unit]})
         assert bench("certificate", "finished", *desk)[0] == 0
     refused(bench("certificate", "register", *desk[:2], "--again"), "no laboratory may replace this text")
     write_files(Path(), order=ORDER)
+    assert bench("certificate", "register", *desk[:2], "--again")[0] == 0
+
+
+@pytest.mark.slow
+def test_a_certificate_of_texts_with_spaces_around_them_is_made_again(bench, desk):
+    """A block of text in YAML (`|`) ends with a line break, which is not printed."""
+    unit = {**ORDER["units"][0], "condition": "undamaged\n"}
+    write_files(Path(), {"environment": " from 30 % to 60 % "}, {**ORDER, "units": [unit]})
+    assert bench("certificate", "finished", *desk)[0] == 0
     assert bench("certificate", "register", *desk[:2], "--again")[0] == 0
 
 

@@ -98,7 +98,7 @@ def test_with_one_it_is_of_the_signer_or_of_another(written):
             "(valid from 2026-10-23 to 2026-11-21) was not valid at the time",
         ),
         ({"sign": False}, "its key usage excludes signatures"),
-        ({"key": rsa.generate_private_key(65537, 1024)}, "its key has 1024 bits"),  # noqa: S505
+        ({"key": rsa.generate_private_key(65537, 1024)}, "its key has 1024 bits, fewer than 2048"),  # noqa: S505
     ],
 )
 def test_a_key_that_may_not_sign_is_not_trusted_and_changes_nothing(

@@ -195,6 +195,13 @@ def test_a_form_that_the_likeliest_effect_reproduces_is_no_other_explanation():
     assert sum(after.values()) == pytest.approx(1.0)
     effect = scored.likeliest(tilt).plain.columns
     assert scored.unexplained(scored.likeliest(form), effect) < ALIAS
+    # if no names are permitted, the form is not left to the name
+    alone = in_place(scored, scored.best(is_nameless), is_nameless)
+    assert (alone.variant.family, alone.odds[0].name) == (form, form)
+
+
+def is_nameless(family):
+    return family not in CATALOGUE
 
 
 @pytest.mark.slow

@@ -144,6 +144,24 @@ def test_runs_that_are_said_to_be_read_are_read_without_a_further_page(runs, ann
     assert "still being read" not in anna.get("/").text
 
 
+def test_two_pages_at_once_may_both_have_the_rest_read(runs):
+    class Table(RunsTable):
+        """A table that another page asks for the rest of the runs just before a thread starts."""
+
+        others = 0
+
+        def __setattr__(self, name, value):
+            super().__setattr__(name, value)
+            if name == "_rest" and self.others:
+                self.others = 0
+                self.read_the_rest().join()
+
+    table = Table(RunsFolder(runs))
+    table.others = 1
+    table.read_the_rest().join()
+    assert UNREAD not in {row.state for row in table.rows()}
+
+
 def test_the_end_of_a_long_record_tells_whether_it_is_paused(tmp_path):
     record = tmp_path / "events.jsonl"
     lines = [{"type": "run_started"}, {"type": "run_paused"}, {"type": "x", "text": '"run_continued"'}]
