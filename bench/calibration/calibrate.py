@@ -23,13 +23,12 @@ from bench.calibration.components import (
 from bench.calibration.design import FIXED, FreeRows, Problem, make_problem
 from bench.calibration.estimators import ESTIMATORS, GLS, ROBUST, find_estimator
 from bench.calibration.free import first_guess_free, triangular
-from bench.calibration.gls import Estimator, Shift, WeightingTask
+from bench.calibration.gls import Estimator, Shift, WeightingTask, rounding_of
 from bench.calibration.linear import linear_estimate
 from bench.calibration.noise import KnownStand, SharedRounding, require_told
 from bench.calibration.observability import GAIN, GRAVITY, assumptions, require_rank, unseen_coefficients
 from bench.calibration.outliers import FittedRows
 from bench.calibration.result import Calibration, CalibrationError, Estimate, LackOfFit, Noise, Outlier
-from bench.calibration.rounding import rounding_of
 from bench.model.forward import ForwardModel
 from bench.model.geometry import STAND_ANGLES, Block
 from bench.readings.table import FREE, REFERENCE, VERIFICATION, Readings

@@ -13,10 +13,9 @@ from bench.base.arrays import ARCSEC, CHANNELS, HOUR, Floats, Ints, rms
 from bench.base.languages import message
 from bench.base.numbers import scale_for, two_digits
 from bench.calibration.design import Problem
-from bench.calibration.gls import Fit, finish
+from bench.calibration.gls import LEAST_ALONE, MOST_SIGNALS, Fit, finish, is_rounded, rounded_alike
 from bench.calibration.noise import SharedRounding, repeat_groups
 from bench.calibration.result import BiasWander, Component, Noise, NoisePrior, widening
-from bench.calibration.rounding import LEAST_ALONE, MOST_SIGNALS, is_rounded, rounded_alike
 from bench.model.conditions import Conditions
 from bench.stats.reml import Mixed, Projection, asked_for, maximise
 

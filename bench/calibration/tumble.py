@@ -22,10 +22,9 @@ from bench.calibration.budget.whole import GRAVITY, acting_sources, without_mete
 from bench.calibration.calibrate import first_guess, usable_rows
 from bench.calibration.components import SharedErrorFit, notes_on_components, take_in
 from bench.calibration.design import FIXED, Problem, make_problem
-from bench.calibration.gls import Fit
+from bench.calibration.gls import Fit, rounding_of
 from bench.calibration.noise import require_told
 from bench.calibration.result import MISALIGNMENTS, NOT_ACCEPTED_P, CalibrationError, LackOfFit, Noise
-from bench.calibration.rounding import rounding_of
 from bench.config.bench_file.file import BenchFile
 from bench.model.conditions import Conditions
 from bench.model.effects import CATALOGUE, Parameter, Seen
