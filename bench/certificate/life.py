@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import cached_property
@@ -195,6 +195,20 @@ def _wanted(name: str, desk: Desk) -> Certificate:
     return certificate
 
 
+def _same_house(stored: Mapping[str, Any], laboratory: Laboratory) -> bool:
+    """Return whether a stored laboratory file is of this laboratory: with its name, address or accreditation.
+
+    The name may be corrected, and a laboratory may have a file in each of two languages.
+    """
+    now = laboratory.model_dump(mode="json", include={"name", "address", "accreditation"})
+    number = (stored.get("accreditation") or {}).get("number")
+    return (
+        str(stored["name"]).strip() == now["name"]
+        or {key: str(part).strip() for key, part in stored["address"].items()} == now["address"]
+        or (number is not None and str(number).strip() == (now["accreditation"] or {}).get("number"))
+    )
+
+
 def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) -> IssuedRun:
     """Issue a certificate for the run `name` that supersedes the certificate `number`.
 
@@ -212,11 +226,11 @@ def amend(number: str, name: str, desk: Desk, reason: str, *, replaced: bool) ->
                 f"{number}: the certificate is for another unit than {name}; name a run of the same unit"
             )
         stored = register.kept(old.data["made_from"]["laboratory"])
-        house = str(document_of(desk.laboratory_file.path, stored).data["name"]).strip()
-        if house != desk.laboratory.name:
+        house = document_of(desk.laboratory_file.path, stored).data
+        if not _same_house(house, desk.laboratory):
             raise Refused(
-                f"{number}: {house} issued it, not {desk.laboratory.name}; name its file with --laboratory or, if "
-                "only the name changed, revoke the certificate and issue a new one"
+                f"{number}: {house['name']} issued it, not {desk.laboratory.name}; name its file with --laboratory "
+                "or, if it moved under a new name, revoke the certificate and issue a new one"
             )
         if not replaced and old.data["record"]["head"] != certificate.found.record.head:
             raise Refused(

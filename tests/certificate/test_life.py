@@ -139,10 +139,12 @@ def test_an_amended_certificate_names_the_one_before_which_holds_no_more(bench, 
     assert again.findtext("dcc:previousReport/dcc:referralID", namespaces=NAMESPACES) == "SIM-2026-0002"
     assert "revoked (wrong unit)" in bench("certificate", "register", *desk[:2])[1]
     third = ("certificate", "amend", "SIM-2026-0003", *other[3:], "--replace")
-    write_files(Path(), {"name": "Another Laboratory"}, ORDER)
+    elsewhere = {"street": "Main St 1", "post_code": "10115", "city": "Berlin", "country": "DE"}
+    write_files(Path(), {"name": "Another Laboratory", "address": elsewhere, "accreditation": None}, ORDER)
     refused(bench(*third, *desk), "Inertial Calibration Laboratory issued it, not Another Laboratory")
-    write_files(Path(), order=ORDER)
+    write_files(Path(), {"name": "Inertial Laboratory"}, ORDER)  # a corrected name, at the old address
     printed(bench(*third, *desk), "SIM-2026-0004")
+    write_files(Path(), order=ORDER)
     assert "replaced (SIM-2026-0004)" in bench("certificate", "register", *desk[:2])[1]
     refused(bench("certificate", "finished", *desk), "SIM-2026-0003 was replaced by SIM-2026-0004; 'bench")
 
