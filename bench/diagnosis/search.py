@@ -153,14 +153,19 @@ def _gains(prepared: Prepared, found: tuple[FoundEffect, ...]) -> list[tuple[flo
 
 
 def _beyond_noise(prepared: Prepared, naming: Naming, gains: Gains) -> Naming:
-    """Return the effects without which the readings are improbable under all noise hypotheses together."""
+    """Return the effects whose odds reach the threshold also against all noise hypotheses together.
+
+    Effects that are kept although their odds are below it, such as those of single runs, stay.
+    """
+    limit = prepared.limit.value
     while naming.found:
         odds = []
         for weak in naming.found:
             rest = tuple(one for one in naming.found if one is not weak)
-            odds.append(weak.total - float(logsumexp([0.0, *(gain for gain, *_ in gains(rest))])))
+            of_noise = 0.0 if weak.total < limit else logsumexp([0.0, *(gain for gain, *_ in gains(rest))])
+            odds.append(max(weak.total, limit) - float(of_noise))
         weakest = int(np.argmin(odds))
-        if odds[weakest] >= prepared.limit.value:
+        if odds[weakest] >= limit:
             break
         rest = naming.found[:weakest] + naming.found[weakest + 1 :]
         naming = name(prepared.whitened, prepared.data, prepared.limit, 0, rest)
