@@ -34,8 +34,8 @@ def growth_of(squared: Floats, power: Floats, turned: Floats, floor: float) -> f
     """Return the noise of a channel per signal, divided by its noise at zero signal, which is at least `floor`.
 
     The squared residuals (n,) have the mean a + b `power` + `turned` (n,), the part from the head's setting error.
-    a and b have the largest likelihood for normal residuals. Each round multiplies them by positive factors, so neither
-    turns negative; rounds of weighted regression may alternate between a = 0 and b = 0.
+    a and b have the largest likelihood for normal residuals. Each round multiplies them by positive factors, so
+    that neither turns negative; rounds of weighted regression may alternate between a = 0 and b = 0.
     """
     columns = np.column_stack([np.ones(len(power)), power])
     sizes = np.mean(squared) / np.array([1.0, np.mean(power)])

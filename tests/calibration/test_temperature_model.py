@@ -223,7 +223,7 @@ def test_noise_that_grows_with_the_signal_enters_u_over_temperature():
 
 
 def test_noise_that_mostly_grows_is_found_in_every_channel():
-    """Seed 77: noise of 1e-3 of the signal. In channel x it was taken for constant noise, much too large for U0x."""
+    """Seed 77: noise of 1e-3 of the signal; in channel x it was taken for constant noise, too large for U0x."""
     rng = np.random.default_rng([77, 1])
     readings = simulate(rng, truth(rng, (1e-4,)), 2e-5, cycle=(0.0, 23.0, 50.0), growing=1e-3)
     model = temperature_model([readings], MODEL, STAND_U, 9.81)
