@@ -90,6 +90,8 @@ class ScpiVoltmeter(ABC):
     """Pattern of one reading as sent; below, an example and the length in characters with the separator."""
     reading_example: str = line.READING_EXAMPLE
     reading_characters: int = line.READING_CHARACTERS
+    equally_long: bool = False
+    """Whether the readings of a reply have one length though `reading` permits several; a shorter one lost a digit."""
     overload_v: float = line.OVERLOAD_V
     sample_overhead_s: float = line.SAMPLE_OVERHEAD_S
     """Overhead of a sample in addition to its two integrations, s."""
@@ -246,7 +248,8 @@ class ScpiVoltmeter(ABC):
             channel: values[index :: len(self.channels)] for index, channel in enumerate(self.channels)
         }
         self._refuse_overload(signals, settings)
-        self._refuse_lost_digits(texts)
+        if self.equally_long:
+            self._refuse_lost_digits(texts)
         self._spoke_s = self._clock.now_s()
         return signals
 

@@ -23,6 +23,7 @@ class Keithley2000(ScpiVoltmeter):
     reading = facts.READING
     reading_example = facts.READING_EXAMPLE
     reading_characters = facts.READING_CHARACTERS
+    equally_long = True
     overload_v = facts.OVERLOAD_V
     sample_overhead_s = facts.SAMPLE_OVERHEAD_S
     errors_kept = facts.ERRORS_KEPT

@@ -222,6 +222,14 @@ def test_noise_that_grows_with_the_signal_enters_u_over_temperature():
     assert np.sum(np.square(z)) < chi2.ppf(1 - 1e-4, 120)
 
 
+def test_noise_that_mostly_grows_is_found_in_every_channel():
+    """Seed 77: noise of 1e-3 of the signal; in channel x it was taken for constant noise, too large for U0x."""
+    rng = np.random.default_rng([77, 1])
+    readings = simulate(rng, truth(rng, (1e-4,)), 2e-5, cycle=(0.0, 23.0, 50.0), growing=1e-3)
+    model = temperature_model([readings], MODEL, STAND_U, 9.81)
+    assert model.growth * model.noise.by_channel == pytest.approx(np.full(3, 1e-3), rel=0.15)
+
+
 def test_a_few_readings_without_repeats_take_the_noise_from_all_residuals():
     rng = np.random.default_rng([SEED, 59])
     polynomials = truth(rng, (1e-4,))

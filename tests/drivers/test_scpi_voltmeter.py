@@ -124,6 +124,11 @@ def test_it_speaks_in_its_own_words() -> None:
         meter.configure(SETTINGS)
 
 
+def test_a_meter_may_leave_out_zeros_and_signs(monkeypatch) -> None:
+    monkeypatch.setattr(OtherMake, "reading", r"-?\d\.\d+E-?\d+")
+    assert fetched("1.25E0,-1.234567E-3") == {"x": (1.25, -1.234567e-3)}
+
+
 def test_an_error_that_fills_the_queue_is_told_once() -> None:
     queue: Pairs = [(":STAT:QUE?", '-410,"Query INTERRUPTED"')] * (1 + OtherMake.errors_kept)
     session = ScriptedSession(OPEN, SET, queue)
