@@ -91,7 +91,7 @@ class ScpiVoltmeter(ABC):
     reading_example: str = line.READING_EXAMPLE
     reading_characters: int = line.READING_CHARACTERS
     equally_long: bool = False
-    """Whether the readings of a reply have one length though `reading` permits several; a shorter one lost a digit."""
+    """Whether all readings of a reply have one length, so that a shorter one lost a digit."""
     overload_v: float = line.OVERLOAD_V
     sample_overhead_s: float = line.SAMPLE_OVERHEAD_S
     """Overhead of a sample in addition to its two integrations, s."""
